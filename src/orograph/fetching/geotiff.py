@@ -43,7 +43,7 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
 
     Args:
         rows: the heights: the raster's, or converted ones.
-        raster: what is said of them. vertical: their datum.
+        raster: provides their metadata. vertical: their datum.
 
     Raises:
         OutputError: the file cannot be written.

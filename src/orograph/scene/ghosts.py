@@ -42,7 +42,7 @@ class Ghost:
             terrain's samples.
         color: a name or #rrggbb. opacity: in front of the ground, 0 to 1; hidden: behind it. name: in the legend; None:
             the file's.
-        band, vertical_unit: as of ``orograph.terrain``.
+        band, vertical_unit: as for ``orograph.terrain``.
 
     Raises:
         UsageError: a value makes no sense.

@@ -1,4 +1,4 @@
-"""Methods for scenes: choose the method that makes the mesh of a picture, and create it with all that it uses.
+"""Methods for scenes: choose the method that makes the mesh of a picture, and create it with all that it needs.
 
 Each backend can draw the terrain by itself: the CPU by rays, the GPU by patches that it streams (``registry.AUTO``). A
 scene with that method has no mesh; the selection of any other method is drawn as triangles, or on the GPU as rays if it

@@ -1,4 +1,4 @@
-"""What is drawn: terrain, camera, and the scene's parts; the same description for every backend."""
+"""The description of a picture: terrain, camera, and the scene's parts; the same for every backend."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "tit
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A scene that is shown in place of another, where, and what its legend adds."""
+    """A scene shown in place of another, where it is shown, and its additional legend."""
 
     scene: Scene
     weight: Weight
@@ -68,7 +68,7 @@ class Scene:
     """The description of a picture.
 
     Attributes:
-        terrain, view: what is drawn, and from where.
+        terrain, view: the ground and the camera.
         surface, lighting, annotations, data, theme, budget: see ``scene.parts``.
         variants: scenes shown in place of this one, each with its weight at a pixel, later ones over earlier ones.
 

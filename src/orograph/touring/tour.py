@@ -208,7 +208,8 @@ class Tour:
 
         Args:
             values: ``keys`` (see ``Key.from_dict``); optionally the fields of ``Tour``, and defaults for the keys'
-                fields in ``keys.INHERITED``. Keys without an eye and a target have the camera of the key before. The ``sun`` beside the keys may be a passage, A..B.
+                fields in ``keys.INHERITED``. Keys without an eye and a target have the camera of the key
+                before. The ``sun`` beside the keys may be a passage, A..B.
             crs: the terrain's CRS, as for ``View.from_dict``.
             whole: (width, height) → the camera of a first key that has none; None: it needs one.
 
