@@ -149,16 +149,16 @@ def _cause(reason: object) -> str:
 
 def _authorization(url: urllib.parse.SplitResult) -> dict[str, str]:
     """The headers from GDAL's settings, or the user and the password of a URL."""
-    said = {}
+    headers = {}
     for line in re.split(r"\r?\n|\\r\\n|,(?=[\w-]+:)", os.environ.get("GDAL_HTTP_HEADERS", "")):
         name, colon, value = line.partition(":")
         if colon:
-            said[name.strip()] = value.strip()
+            headers[name.strip()] = value.strip()
     if bearer := os.environ.get("GDAL_HTTP_BEARER"):
-        said["Authorization"] = f"Bearer {bearer}"
+        headers["Authorization"] = f"Bearer {bearer}"
     elif login := _login(url) or os.environ.get("GDAL_HTTP_USERPWD"):
-        said["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
-    return said
+        headers["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
+    return headers
 
 
 def _login(url: urllib.parse.SplitResult) -> str:

@@ -96,12 +96,12 @@ class Fetched:
 
     def fingerprint(self) -> str:
         """A hash of its parts and their places."""
-        said = [self.product.name, repr(self.grid.transform[:6]), repr(self.grid.shape)]
+        parts = [self.product.name, repr(self.grid.transform[:6]), repr(self.grid.shape)]
         for spots in self._spots:
             for spot in spots:
-                said.append(f"{spot.piece} {spot.fill}")
-                said += states(str(part.kept.part(part.row, part.col)) for part in spot.parts.values())
-        return hashlib.sha256("\n".join(said).encode()).hexdigest()
+                parts.append(f"{spot.piece} {spot.fill}")
+                parts += states(str(part.kept.part(part.row, part.col)) for part in spot.parts.values())
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def _spot(self, piece: Piece, reader: Reader, sea: bool) -> _Spot:
         header = reader.records[piece.tile.key].header

@@ -20,10 +20,10 @@ def tried(
     Args:
         table: a file of products. name: of one product; None: all.
     """
-    asked = [product_named(name, table)] if name is not None else list(products(table).values())
-    urls = [_url(product) for product in asked]
+    chosen = [product_named(name, table)] if name is not None else list(products(table).values())
+    urls = [_url(product) for product in chosen]
     answers = map_ordered(lambda url: ask(url, again=False), urls, 4)
-    for product, url, answer in zip(asked, urls, answers):
+    for product, url, answer in zip(chosen, urls, answers):
         yield product, public(url), answer
 
 

@@ -221,12 +221,12 @@ class Device:
         """The bind group layout of entries (``program.Binding.entry``); equal entries share one."""
         key = repr(entries)
         if key not in self._layouts:
-            told = [{key: _spelled(value) for key, value in entry.items()} for entry in entries]
-            for entry in told:
+            spelled = [{key: _spelled(value) for key, value in entry.items()} for entry in entries]
+            for entry in spelled:
                 if entry.get("buffer", {}).get("type") == "uniform":
                     entry["buffer"]["type"] = self.record
             self._layouts[key] = self.handle.create_bind_group_layout(entries=[
-                {_snake(name): value for name, value in entry.items()} for entry in told
+                {_snake(name): value for name, value in entry.items()} for entry in spelled
             ])  # fmt: skip
         return self._layouts[key]
 

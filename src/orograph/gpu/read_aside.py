@@ -34,21 +34,21 @@ def read_aside(device: Device, buffer: Any, dtype: Any = np.uint8) -> NDArray[An
     encoder = device.handle.create_command_encoder()
     encoder.copy_buffer_to_buffer(buffer, 0, read, 0, size)
     device.queue.submit([encoder.finish()])
-    told: list[int] = []
+    statuses: list[int] = []
 
     @ffi.callback("void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
     def mapped(status: int, message: Any, first: Any, second: Any) -> None:
-        told.append(status)
+        statuses.append(status)
 
     map_async(
         read._internal, lib.WGPUMapMode_Read, 0, size,
         new_struct("WGPUBufferMapCallbackInfo", mode=lib.WGPUCallbackMode_AllowProcessEvents, callback=mapped),
     )  # fmt: skip
-    while not told:
+    while not statuses:
         lib.wgpuDevicePoll(handle, False, ffi.NULL)
-        if not told:
+        if not statuses:
             time.sleep(AGAIN)
-    if told[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py reports the error
+    if statuses[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py reports the error
         return device.read_buffer(buffer, dtype)
     found = np.frombuffer(bytes(ffi.buffer(lib.wgpuBufferGetConstMappedRange(read._internal, 0, size), size)), dtype)
     read.destroy()

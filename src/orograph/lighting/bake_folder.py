@@ -71,14 +71,14 @@ def another(storage: Storage, there: bytes, anew: str) -> StoreError:
         there: its plan. anew: how to restart.
     """
     count = count_of(there)
-    said, again = "was interrupted", "Run it again with the same products and options to finish it"
+    state, again = "was interrupted", "Run it again with the same products and options to finish it"
     if count is not None:
-        said = f"was begun in {count} parts"
+        state = f"was begun in {count} parts"
         again = f"Run the parts of {count}, with the products and options of those before, and then finish"
     elif isinstance(storage, BucketStorage):  # nobody else leaves a plan there
-        said = "by the workers of a cluster was interrupted"
+        state = "by the workers of a cluster was interrupted"
         again = "Run it again with the same products and options, and with `dask`, to finish it"
-    return StoreError(f"Another bake into this store {said}.", path=storage.url, remedy=f"{again}, or {anew}.")
+    return StoreError(f"Another bake into this store {state}.", path=storage.url, remedy=f"{again}, or {anew}.")
 
 
 def group(storage: FolderStorage) -> None:

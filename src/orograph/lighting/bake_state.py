@@ -111,13 +111,13 @@ class BakeState:
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
-        url, said = recipe.named
+        url, options = recipe.named
         folder = Path(recipe.folder) / PARTIAL if recipe.folder else None
         self.storage = guarded(
-            FolderStorage(folder) if folder is not None else partial_of(storage_at(url, said)), PLAN, recipe.plan
+            FolderStorage(folder) if folder is not None else partial_of(storage_at(url, options)), PLAN, recipe.plan
         )
         self.made = self.storage
-        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
+        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=options)
         self.record = self.terrain.record
         self.strip = max(1, self.record.shard // STRIPS)
         kept = None if folder is None else Checkpoint(folder, json.loads(recipe.plan or b"{}"))

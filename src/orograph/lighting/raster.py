@@ -119,12 +119,12 @@ class Band:
     @property
     def tags(self) -> dict[str, str]:
         """Its tags in a file."""
-        said = {"description": self.doc, **({"long_name": self.long_name} if self.long_name else {})}
+        texts = {"description": self.doc, **({"long_name": self.long_name} if self.long_name else {})}
         if not self.codes:
-            return said
+            return texts
         numbers = " ".join(map(str, range(len(self.codes))))
         names = " ".join(name.replace(" ", "_") for name in self.codes)
-        return {**said, "flag_values": numbers, "flag_meanings": names}
+        return {**texts, "flag_values": numbers, "flag_meanings": names}
 
     def to_bytes(self, values: Values) -> NDArray[np.uint8]:
         """Values (rows, cols) as in 8-bit files."""

@@ -100,8 +100,8 @@ def _of_points(source: Any, tau: float, terrain: Terrain) -> tuple[Array, Array,
         columns = columns_of_features(read_features(given, terrain.grid)) if features else columns_of(given.source)
         known = [k for k, v in columns[0].items() if k.lower() in CALLED and np.isfinite(v).any()]
         if len(known) != 1:
-            told = " and ".join(known) or "none"
-            raise UsageError(f"It is unclear which column holds their heights; there is {told}.", path=name,
+            listed = " and ".join(known) or "none"
+            raise UsageError(f"It is unclear which column holds their heights; there is {listed}.", path=name,
                              remedy="Name it: variable=NAME.")  # fmt: skip
         given = given.but(variable=known[0])
     points = read_points(given, terrain.grid)

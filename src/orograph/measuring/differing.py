@@ -155,8 +155,8 @@ def differ(
         (deviation,) = quantiles(boxes, off, away, [0.5], jobs)
         canvas.release()
         task.advance(len(boxes))
-    told = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
-    return values, _statistics(sums, grid, middle, NORMAL * deviation, told, (low, high), doubt)
+    levels = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
+    return values, _statistics(sums, grid, middle, NORMAL * deviation, levels, (low, high), doubt)
 
 
 def _sums(grid: Grid, box: Box, first: Floats, second: Floats, made: Floats, doubt: Doubt | None) -> Sums:
@@ -207,7 +207,7 @@ def _cells(grid: Grid, box: Box) -> Array:
 
 
 def _statistics(
-    sums: Sequence[Sums], grid: Grid, median: float, nmad: float, told: tuple[tuple[float, float], ...],
+    sums: Sequence[Sums], grid: Grid, median: float, nmad: float, quantiles: tuple[tuple[float, float], ...],
     ends: tuple[float, float], doubt: Doubt | None,
 ) -> Statistics:  # fmt: skip
     count = sum(one.known for one in sums)
@@ -219,7 +219,7 @@ def _statistics(
         count, grid.rows * grid.cols - count, mean, median, math.sqrt(square),
         math.sqrt(max(square - mean * mean, 0.0)), nmad,
         min(one.low for one in sums) if count else math.nan, max(one.high for one in sums) if count else math.nan,
-        told, area, gained, lost, gain, loss, product / second if second > 0 else math.nan, ends,
+        quantiles, area, gained, lost, gain, loss, product / second if second > 0 else math.nan, ends,
         None if doubt is None else _detected(sums, doubt),
     )  # fmt: skip
 

@@ -152,14 +152,14 @@ def _tin(
         raise no_surface(terrain)
     keys = list(product(range(-(-(rows - 1) // side)), range(-(-(cols - 1) // side))))
     workers = workers_for(min(side, max(rows, cols)), max_memory, jobs)
-    asked: dict[Key, list[NDArray[np.int64]]] = {}
+    required: dict[Key, list[NDArray[np.int64]]] = {}
     made: dict[Key, Tile] = {}
     edges = lines_of(terrain, lines, side, (max_error, bound == "surface"), workers)
-    share(ends_of(edges, side), side, set(keys), asked)
+    share(ends_of(edges, side), side, set(keys), required)
 
     def make(key: Key) -> Tile:
         heights, inner = read_tile(terrain, key, side)
-        extra = np.concatenate([NONE, *asked.get(key, [])])
+        extra = np.concatenate([NONE, *required.get(key, [])])
         start = made[key].places.astype(np.int64) if key in made else NONE
         return tin_of_tile(heights, inner, max_error, bound == "surface", extra, start, edges.get(key, NO_LINES))
 
@@ -175,7 +175,7 @@ def _tin(
             new = set(ends_of(more, side)) - set(ends_of({key: edges.get(key, NO_LINES) for key in more}, side))
             missed |= {(x, y) for x, y in new if x % side == 0 or y % side == 0}
             edges |= more
-            again = share(sorted(missed), side, set(keys), asked) | set(more)
+            again = share(sorted(missed), side, set(keys), required) | set(more)
     return assemble(terrain, made, side, {"method": "tin", "max_error": max_error, "bound": bound, "side": side})
 
 
@@ -239,7 +239,7 @@ def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32
 
 
 def share(
-    missed: list[tuple[int, int]], side: int, keys: set[Key], asked: dict[Key, list[NDArray[np.int64]]]
+    missed: list[tuple[int, int]], side: int, keys: set[Key], required: dict[Key, list[NDArray[np.int64]]]
 ) -> set[Key]:
     """Pass required vertices to the tiles that share them. Returns these tiles."""
     again: set[Key] = set()
@@ -247,7 +247,7 @@ def share(
         for key in product({y // side, (y - 1) // side}, {x // side, (x - 1) // side}):
             if key in keys:
                 again.add(key)
-                asked.setdefault(key, []).append(np.array([[x - key[1] * side, y - key[0] * side]]))
+                required.setdefault(key, []).append(np.array([[x - key[1] * side, y - key[0] * side]]))
     return again
 
 

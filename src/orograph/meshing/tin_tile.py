@@ -96,9 +96,9 @@ def tin_of_tile(
     refine(m, window, q, limit, False)
     if surface:
         refine(m, window, q, limit, True)
-        asked, blocked = missed(m, window, limit)
-        if len(asked) or len(blocked):
-            return unfinished(compact(m)[0], asked, blocked)
+        lacking, blocked = missed(m, window, limit)
+        if len(lacking) or len(blocked):
+            return unfinished(compact(m)[0], lacking, blocked)
     stay = np.zeros(m.counts[VERTICES], np.uint8)
     stay[:locked] = 1
     order = np.lexsort((m.x[: len(stay)], m.y[: len(stay)])).astype(np.int32)

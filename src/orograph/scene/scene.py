@@ -168,11 +168,13 @@ class Scene:
     def summary(self) -> dict[str, Any]:
         """A short description of the picture: its options, view and terrain, for JSON with ``default=str``."""
         left_out = ("sun", "jobs", "max_memory", "mesh_view")
-        said = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
-        said["layers"] = [layer for layer in said["layers"] if layer.key is None]  # (data are described separately)
+        options = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
+        options["layers"] = [
+            layer for layer in options["layers"] if layer.key is None
+        ]  # (data are described separately)
         sun, mesh_view, grid = self.lighting.sun, self.surface.mesh_view, self.terrain.grid
         return {
-            "scene": said, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
+            "scene": options, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
             "terrain": [self.terrain.name, grid.shape, list(grid.transform)[:6], self.terrain.height_range],
             "mesh_view": None if mesh_view is None else mesh_view.to_dict(),
         }  # fmt: skip

@@ -70,7 +70,7 @@ class Version(NamedTuple):
 
     def mode(self) -> dict[str, str]:
         """Return the known fields in obstore's form."""
-        return {name: said for name, said in self._asdict().items() if said is not None}
+        return {name: value for name, value in self._asdict().items() if value is not None}
 
 
 class Seen(NamedTuple):

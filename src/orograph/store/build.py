@@ -374,8 +374,8 @@ def _fill(
         kind = None if plan.get("chunked") is None else Kind(*plan["chunked"])
         wanted = plan.get("tins"), kind, plan.get("quadtin")
         record = make(record, Work(kinds, writer, jobs, executor, progress, *wanted))
-    if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
-        progress.warn(told)
+    if coding is not None and (warning := coding.surprise(record.height_range, bool(lattices))):
+        progress.warn(warning)
     if raster.fingerprint() != plan["source"]:
         if not keyed:
             storage.remove()

@@ -81,20 +81,20 @@ def checked_kind(chunked: Any) -> Kind:
     Raises:
         UsageError: the request is invalid.
     """
-    told = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
+    kind = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
     if (
-        told is None
-        or told.cells not in ALL_CELLS
-        or not isinstance(told.finest, (int, float))
-        or not 0 <= told.finest < math.inf
-        or not isinstance(told.compressed, bool)
+        kind is None
+        or kind.cells not in ALL_CELLS
+        or not isinstance(kind.finest, (int, float))
+        or not 0 <= kind.finest < math.inf
+        or not isinstance(kind.compressed, bool)
     ):
         raise UsageError(
             f"'chunked' must be cells along a side, one of {', '.join(map(str, ALL_CELLS))}, metres, 0 or more, and "
             f"optionally whether they are compressed, not {chunked!r}.",
             remedy="The default of chunked-lod is (32, 0).",
         )  # fmt: skip
-    return told._replace(cells=int(told.cells), finest=float(told.finest))
+    return kind._replace(cells=int(kind.cells), finest=float(kind.finest))
 
 
 @dataclass(frozen=True, slots=True)

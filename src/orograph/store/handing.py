@@ -57,10 +57,10 @@ def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
     if (own := getattr(raster, "again", None)) is not None:
         found: tuple[Again, Arrays] = own()
         return found
-    said = getattr(raster, "recipe", lambda: None)()
-    if said is None:
+    recipe = getattr(raster, "recipe", lambda: None)()
+    if recipe is None:
         return None
-    files, options = said
+    files, options = recipe
     if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
@@ -131,8 +131,8 @@ def left_by_parts(
     if files is None or left["state"] != _state(files, options):
         return None
     kinds = {name: (dtype, tuple(shape)) for name, (dtype, shape) in left["kinds"].items()}
-    said = {name: value for name, value in options.items() if value is not None}
-    return opened(files, said, progress, take(storage, kinds))
+    reading = {name: value for name, value in options.items() if value is not None}
+    return opened(files, reading, progress, take(storage, kinds))
 
 
 def _left(storage: Storage) -> dict[str, Any]:
@@ -142,5 +142,5 @@ def _left(storage: Storage) -> dict[str, Any]:
 
 def _state(files: Sequence[str], options: Mapping[str, Any]) -> str:
     """A hash of the states of files on this disk, their names, and the options of reading."""
-    said = [state_of(path) for path in files], sorted((k, repr(v)) for k, v in options.items() if v is not None)
-    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    state = [state_of(path) for path in files], sorted((k, repr(v)) for k, v in options.items() if v is not None)
+    return hashlib.sha256(json.dumps(state).encode()).hexdigest()

@@ -60,8 +60,8 @@ def state_of(path: str) -> dict[str, Any]:
 
     file = on_disk(path)
     if not file.is_file():
-        if (told := known(path)) is not None:
-            return {"path": public(path), "size": told.size, "time_ns": told.time_ns, "etag": told.etag}
+        if (state := known(path)) is not None:
+            return {"path": public(path), "size": state.size, "time_ns": state.time_ns, "etag": state.etag}
         return {"path": absolute(path) if file.exists() else public(path), "size": None, "time_ns": None}
     found = file.stat()
     return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
@@ -102,7 +102,7 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
     """What happened to the files since: a sentence for each that is gone or changed."""
     from orograph.dem.asking import asked
 
-    told = []
+    sentences = []
     files, geoid = inputs["files"], inputs.get("geoid")
     found = [(file, file["path"]) for file in (*files, *([geoid] if geoid else []))]
     for main, beside in zip(files, inputs.get("beside", ())):  # older stores list neither
@@ -116,7 +116,7 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
                 continue  # (unknown)
             now = {"path": file["path"], **told_now._asdict()}
         if now["size"] is None:
-            told.append(f"{name} is gone.")
+            sentences.append(f"{name} is gone.")
         elif now != file:
-            told.append(f"{name} was changed.")
-    return told
+            sentences.append(f"{name} was changed.")
+    return sentences

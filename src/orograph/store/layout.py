@@ -182,8 +182,8 @@ class Record:
             StoreError: it has another format than this reader, or it fails its checksum.
         """
         _understood(record, url)
-        said = record.get("checksum")
-        if said != _checksum({key: value for key, value in record.items() if key != "checksum"}):
+        checksum = record.get("checksum")
+        if checksum != _checksum({key: value for key, value in record.items() if key != "checksum"}):
             raise StoreError(
                 "The record of the store in zarr.json fails its checksum.", path=url, remedy=rebuild(record, url)
             )
@@ -192,9 +192,9 @@ class Record:
         low, high = record["height_range"] or (math.nan, math.nan)
         grid = Grid((rows, cols), Affine(*record["transform"]), crs)
         derived = {
-            name: KINDS[name].parse(told, grid)
-            for name, told in record["derived"].items()
-            if name in KINDS and told["version"] == KINDS[name].version
+            name: KINDS[name].parse(entry, grid)
+            for name, entry in record["derived"].items()
+            if name in KINDS and entry["version"] == KINDS[name].version
         }
         return cls(
             grid,

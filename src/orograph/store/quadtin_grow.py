@@ -53,11 +53,11 @@ def has_points(terrain: Terrain) -> bool:
     return terrain.has("points") or hasattr(terrain.samples, "surface")
 
 
-def finest_of(terrain: Terrain, asked: float) -> float:
+def finest_of(terrain: Terrain, finest: float) -> float:
     """The error in metres; 0 means a fraction of the sample spacing. Rounding of heights does not count."""
     low, high = terrain.height_range
     least = ROUNDING * max(abs(low), abs(high)) + ROUNDING
-    return max(asked or min(terrain.grid.spacing) / PART, least)
+    return max(finest or min(terrain.grid.spacing) / PART, least)
 
 
 class Grown(NamedTuple):

@@ -97,22 +97,22 @@ class TinStage(TerrainStage[Made]):
         source = below(band.octave, band.kind, self.legs)
         if source is not None and band.first:
             level.array(self._spec(source, band.kind), building.marks[source])
-        told = {"octave": band.octave, "kind": band.kind, "digests": level.digests.to_json()}
+        facts = {"octave": band.octave, "kind": band.kind, "digests": level.digests.to_json()}
         arrays: dict[str, NDArray[Any]] = {
             "rows": self._rows,
             "cols": self._cols,
-            "told": np.frombuffer(dumps(told), np.uint8),
+            "told": np.frombuffer(dumps(facts), np.uint8),
         }
         self.writer.keep(self._key(), pack(arrays))
 
     def _read(self) -> tuple[Integers, Integers, MarksOf]:
         """Read the diamonds and a reader of the marks below from the building process."""
         kept = unpack(self.writer.storage.get(self._key()) or b"")
-        told = json.loads(kept["told"].tobytes())
-        octave, kind = told["octave"], told["kind"]
+        facts = json.loads(kept["told"].tobytes())
+        octave, kind = facts["octave"], facts["kind"]
         source = below(octave, kind, self.legs)
         spec = self._spec(octave if source is None else source, kind)
-        digests = Digests.from_json(told["digests"], self.writer.digests.keyed)
+        digests = Digests.from_json(facts["digests"], self.writer.digests.keyed)
         array = ShardedArray(spec, self.writer.storage, digests, ChunkCache(CACHE), 1)
         return kept["rows"], kept["cols"], lambda octave, *window: array.read(*window)
 

@@ -49,8 +49,8 @@ class Edition(NamedTuple):
     parts: str
 
     @classmethod
-    def from_json(cls, said: dict[str, Any]) -> Edition:
-        return cls(said["number"], tuple(said["kept"]), said["parts"])
+    def from_json(cls, entry: dict[str, Any]) -> Edition:
+        return cls(entry["number"], tuple(entry["kept"]), entry["parts"])
 
 
 def number(storage: Storage) -> int | None:

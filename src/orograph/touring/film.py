@@ -154,10 +154,10 @@ class Film:
 
     def fingerprint(self) -> str:
         """An identifier of every frame's content: of the tour, the scene's options and the terrain."""
-        told = {"tour": self.tour.to_dict(), **self.base.summary()}
+        content = {"tour": self.tour.to_dict(), **self.base.summary()}
         if self.playing is not None:
-            told["played"] = self.playing.data
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
+            content["played"] = self.playing.data
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
     def _base(self, number: int) -> Scene:
         """The scene of a frame without its camera, with the tour's other settings."""
@@ -201,8 +201,8 @@ class Film:
         if not any(isinstance(one.weight, Flown) for one in scene.variants):
             return scene
         flown = [one.weight for one in scene.variants if isinstance(one.weight, Flown)]
-        told = self._shares(time, flown[0])
-        variants = (replace(one, weight=replace(weight, filmed=told)) for one, weight in zip(scene.variants, flown))
+        shares = self._shares(time, flown[0])
+        variants = (replace(one, weight=replace(weight, filmed=shares)) for one, weight in zip(scene.variants, flown))
         return replace(scene, variants=tuple(variants))
 
     def _shares(self, time: float, flown: Flown) -> tuple[float, float, float]:
@@ -222,5 +222,5 @@ class Film:
 
 def spoken(tour: Tour) -> Sequence[str]:
     """The parts of the scene that a tour sets: "sun", "layers" and names of ``keys.SETTINGS``."""
-    more = [name for name, said in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if said is not None]
+    more = [name for name, value in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if value is not None]
     return [*more, *tour.settings(0.0)]

@@ -244,11 +244,11 @@ class Tour:
             if not isinstance(key, Mapping):
                 raise UsageError(f'Key {i} is not a JSON object with a "time", an "eye" and a "target".')
             try:
-                said = {**common, **key}
+                merged = {**common, **key}
                 if camera is None and whole is not None and not has_camera(key):
-                    width, height = (int(number(said.get(n, default), f'The "{n}"')) for n, default in SIZE)
+                    width, height = (int(number(merged.get(n, default), f'The "{n}"')) for n, default in SIZE)
                     camera = whole(width, height).to_dict()
-                camera = said if camera is None or has_camera(key) else {**common, **staying(camera, key)}
+                camera = merged if camera is None or has_camera(key) else {**common, **staying(camera, key)}
                 made.append(Key.from_dict(camera, crs=crs))
             except UsageError as error:
                 raise UsageError(f"Key {i}: {error.what}", remedy=error.remedy) from error

@@ -255,8 +255,8 @@ class Tracer:
         uniform[20:23] = place
         filling = encoder.begin_compute_pass()
         filling.set_pipeline(self.fill)
-        told = self.device.buffer(uniform, "UNIFORM")
-        group = self._voxelise.bind({"level": told, "heights": held.buffer, "voxels": voxels})
+        levels = self.device.buffer(uniform, "UNIFORM")
+        group = self._voxelise.bind({"level": levels, "heights": held.buffer, "voxels": voxels})
         filling.set_bind_group(0, group)
         filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
         filling.end()

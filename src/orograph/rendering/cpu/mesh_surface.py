@@ -45,9 +45,9 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
     """
     choice = mesh_choice(scene.surface.method, "cpu")
     assert choice is not None
-    asked = scene.surface
+    surface = scene.surface
     memo = Memo() if memo is None else memo
-    view = scene.view.whole if asked.mesh_view is None else asked.mesh_view
+    view = scene.view.whole if surface.mesh_view is None else surface.mesh_view
     if view.projection == "plan":
         progress.warn("in a plan heights do not move pixels: the coarsest mesh is as good as any.")
     memory = MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
@@ -60,9 +60,9 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
         mesh: Tessellation = method.select(
             camera, goal_of(scene.surface.tolerance, scene.surface.triangles)
         ).tessellation()
-    if asked.triangles is not None and len(mesh.triangles) > asked.triangles:
+    if surface.triangles is not None and len(mesh.triangles) > surface.triangles:
         progress.warn(
-            f"{asked.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it has "
+            f"{surface.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it has "
             f"{len(mesh.triangles):,}."
         )
     return mesh
