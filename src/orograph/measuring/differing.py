@@ -155,8 +155,8 @@ def differ(
         (deviation,) = quantiles(boxes, off, away, [0.5], jobs)
         canvas.release()
         task.advance(len(boxes))
-    levels = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
-    return values, _statistics(sums, grid, middle, NORMAL * deviation, levels, (low, high), doubt)
+    pairs = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
+    return values, _statistics(sums, grid, middle, NORMAL * deviation, pairs, (low, high), doubt)
 
 
 def _sums(grid: Grid, box: Box, first: Floats, second: Floats, made: Floats, doubt: Doubt | None) -> Sums:

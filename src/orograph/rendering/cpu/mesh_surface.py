@@ -62,8 +62,8 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
         ).tessellation()
     if surface.triangles is not None and len(mesh.triangles) > surface.triangles:
         progress.warn(
-            f"{surface.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it has "
-            f"{len(mesh.triangles):,}."
+            f"{surface.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it "
+            f"has {len(mesh.triangles):,}."
         )
     return mesh
 
