@@ -65,7 +65,7 @@ MORE = {
     "winnipeg 1s": "winnipeg-1s-isce3/winnipeg_dem.tif",
     "everest 90 m": "osgearth-srtm90m-volcano-voids/mt_everest_90m.tif",
 }
-"""Terrains for the promise besides those of ``promise``."""
+"""Terrains for the promise in addition to those of ``promise``."""
 
 
 def bytes_of(terrain: MemoryTerrain, text: str, method: Any) -> float:

@@ -32,7 +32,7 @@ FIRST = 10
 """Frames that are left out."""
 
 NEAR = 1.05
-"""How near the bisection comes to the tolerance at best, as a factor."""
+"""Precision of the bisection for the tolerance at best, as a factor."""
 
 
 def frames(method: Method, views: Sequence[View], goal: Goal) -> np.ndarray:

@@ -55,7 +55,7 @@ PATHS = [
     DATA / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif",
 ]
 SOME, TILE, FRAME, SHARE = 400, 256, 3e5, 0.2
-"""Chunks of a level; samples of a tile; triangles of a frame; seconds that the GPU is measured."""
+"""Chunks of a level; samples of a tile; triangles of a frame; seconds of a measurement of the GPU."""
 VERTICES, TRIANGLES, HUNG, RUNS = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "runs"))
 Name = tuple[int, int, int]
 

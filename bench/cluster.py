@@ -36,7 +36,7 @@ from orograph.store.workforce import workforce
 BIG = {"shard": 1024}
 SMALL = {"shard": 128, "chunk": 64}
 FEW = 9
-"""Tiles, of which shards are small: 820 of them and more."""
+"""Tiles of a build with small shards, at least 820 of them."""
 
 KILLED = {"shard": 256, "chunk": 64}
 OPTIONS: dict[str, Any] = {"jobs": 2, "progress": False}

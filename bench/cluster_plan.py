@@ -32,18 +32,18 @@ SHARD = 2048
 SCHEDULER = 1e-3
 BUCKET = 100e6
 PRICE = 0.05
-"""Dollars an hour and worker of one thread."""
+"""Dollars per hour and worker of one thread."""
 
 PLANETS = {
     "ASTER, 22,600 tiles": (22_600 * 3601 * 3601, 750e9),
     "GLO-30, 26,000 tiles": (26_000 * 3600 * 3600, 26_000 * 3600 * 3600 * 2.4),
 }
-"""Samples, and bytes that are read."""
+"""Samples, and bytes to read."""
 
 WORKERS = (1, 4, 16, 64, 128, 256, 512)
 
 GROUPED = ("heights", "errors")
-"""Stages whose tasks are groups of shards, where there are enough for all workers."""
+"""Stages whose tasks are groups of shards, if there are enough groups for all workers."""
 
 
 class Cost(NamedTuple):

@@ -30,7 +30,7 @@ SCENARIOS = "approach", "overflight", "replanning"
 EIGHT = ["".join(letter + mark for letter, mark in zip("TDU", marks)) for marks in product("+-", repeat=3)]
 
 Set = tuple[dict[str, Any], orograph.Dataset, orograph.Dataset]
-"""What is common to the pictures of a set, its data on the surface, and its data that stand on it."""
+"""A set's common options, its data on the surface, and its data standing on it."""
 
 
 def britain() -> Set:

@@ -14,7 +14,7 @@ SIZE = (300, 214) if "--quick" in sys.argv else (900, 640)
 SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 
 BEDS = (("Soil", 5, 30), ("Navajo sandstone", 150, 420), ("Kayenta", 60, 150), ("Moenave", 40, 90), ("Chinle", 80, 200))
-"""Made beds, from the top, and between which thicknesses (metres) they are."""
+"""Synthetic beds from the top, with the range of their thickness (metres)."""
 
 COLORS = {"Soil": "#8c510a", "Navajo sandstone": "#e69f00", "Kayenta": "#d55e00", "Moenave": "#cc79a7",
           "Chinle": "#0072b2"}  # fmt: skip

@@ -28,7 +28,7 @@ SIDE = 300
 """Samples along a side of the hill: more than one tile."""
 
 REST = "rest"
-"""What people do less often: its kernels belong to no work."""
+"""Less common work, whose kernels belong to none of the others."""
 
 
 def write_hills(folder: Path) -> None:

@@ -232,7 +232,7 @@ def errors(found: list[dict[str, Any]], labels: Sequence[str]) -> str:
 
 
 _bench: dict[str, Bench | None] = {}
-"""What this process works on."""
+"""The terrain of this process."""
 
 
 def records_of(task: tuple[str, int], options: argparse.Namespace) -> tuple[list[dict[str, Any]], float]:

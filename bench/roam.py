@@ -30,7 +30,7 @@ from synthetic import synthetic
 RATE = 60.0
 TURN = 2.0
 CHANGES = 60
-"""Triangles that come in a frame of the flights over meshes of different sizes."""
+"""New triangles per frame of the flights over meshes of different sizes."""
 
 
 def load(path: str, cell: float) -> MemoryTerrain:

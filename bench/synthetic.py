@@ -28,7 +28,7 @@ from orograph.store.stored import StoredTerrain
 SEED, CELL = 7, 30.0
 
 LEFT = 15 << 30
-"""Bytes that stay free on the disk."""
+"""Bytes to leave free on the disk."""
 
 PER_SAMPLE = 4.5
 """Bytes of a store per sample, at most: heights, means and errors, compressed."""

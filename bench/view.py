@@ -70,7 +70,7 @@ SPEED = 300.0
 """Metres a second, flying low."""
 
 STALL = 1000 / 30
-"""Milliseconds that a frame may hold the loop up."""
+"""Milliseconds for which a frame may block the loop."""
 
 Size = tuple[int, int]
 

@@ -26,7 +26,7 @@ from PIL import ImageGrab
 
 TILE = Path(__file__).parents[2] / "shared" / "data" / "n44w072-hgt" / "N44W072.hgt"
 STEP = 0.04
-"""Seconds between two looks: one takes 6 ms, and two processors are all that some have."""
+"""Seconds between two captures, each of which takes 6 ms: some machines have only two processors."""
 PATIENCE = 120.0
 REST = 1.0
 

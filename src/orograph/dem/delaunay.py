@@ -19,7 +19,7 @@ from orograph._numba import kernel
 from orograph.errors import UsageError
 
 MOST_BITS = 18
-"""Of fractions of a sample."""
+"""Maximum bits of fractions of a sample."""
 
 SIDE_BITS = 30
 """Places along the lattice's side, as a power of two: products of differences fit int64."""

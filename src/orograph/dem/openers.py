@@ -28,13 +28,13 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
 MANY = 1000
-"""Files for which it is worth starting processes, which takes each of them as long as opening some hundred files."""
+"""Number of files from which processes are worth starting: each start takes as long as opening some hundred files."""
 
 MOST = 8
 """Processes at once: each takes some 100 MiB."""
 
 CHUNK = 32
-"""Files that a process is asked for at once."""
+"""Files per request to a process."""
 
 AT_ONCE = 16
 """Files on servers opened at once."""

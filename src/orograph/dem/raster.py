@@ -25,7 +25,7 @@ MEANT = {
     **{name: f"dem.grid.{name}" for name in ("crs", "transform", "shape")},
     **dict.fromkeys(("bounds", "extent"), "dem.grid.bounds()"),
 }
-"""Names of attributes in other libraries, and what to use here."""
+"""Names of attributes in other libraries, and their equivalents here."""
 
 MAX_READ_BYTES = 2 << 30
 """Default maximum bytes of heights (float32): 536 million heights, e.g. 23170²."""

@@ -14,9 +14,9 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 
 VOID, MOSTLY = 0.75, 0.9
-"""Parts from which on it is warned of, and refused."""
+"""Parts of the whole that cause a warning, and an error."""
 LARGE, HUGE = 1 << 24, 2 << 30
-"""Samples of the whole from which on it is."""
+"""Minimum samples of the whole for each."""
 
 
 def void_of(lattices: Sequence[Lattice], grid: Grid) -> float:

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE = 2.0
-"""Seconds that an ending program waits for its threads: one that is in a native library when the interpreter is gone
-may crash."""
+"""Seconds that an ending program waits for its threads: one still in a native library after the interpreter ends may
+crash."""
 
 _RUNNING: set[threading.Event] = set()
 

@@ -26,7 +26,7 @@ from typing import Any
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _LARGE = 10_000
-"""Characters of declarations that are worth being remembered."""
+"""Minimum characters of declarations that are worth storing."""
 
 
 def quicken(ffi: Any) -> bool:

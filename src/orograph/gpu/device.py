@@ -29,7 +29,7 @@ from orograph.gpu.ctypes_quick import quicken_wgpu
 from orograph.gpu.sources import source
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
-"""The backends that compute what they are told to."""
+"""The backends that give correct results."""
 
 OPTIONAL = (
     "float32-filterable",
@@ -38,7 +38,7 @@ OPTIONAL = (
     "polygon-mode-line",
     "rg11b10ufloat-renderable",
 )
-"""Features that are used where an adapter has them, never needed."""
+"""Optional features, used if an adapter has them."""
 
 WANTED = (
     ("max-buffer-size", 1 << 31),
@@ -47,10 +47,11 @@ WANTED = (
     ("max-texture-array-layers", 2048),
     ("max-storage-buffers-per-shader-stage", 16),  # on software, where uniforms are storage buffers (``Device.record``)
 )
-"""Limits raised this far where an adapter allows it. Pictures are larger and finer for it; none needs it."""
+"""Limits that are raised to this if the adapter allows it, for larger and finer pictures; none is required."""
 
 WRITTEN = 1 << 20
-"""Bytes from which a buffer is written once it is there: wgpu-py fills others in Python, and holds the interpreter."""
+"""Bytes from which a buffer is written after its creation: wgpu-py fills smaller ones in Python, holding the
+interpreter lock."""
 
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 
@@ -68,7 +69,7 @@ class DeviceLimitError(OrographError):
 
 
 LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or use the CPU."
-"""What to do where a device has not enough for what is asked of it, if nothing better is known."""
+"""The default remedy if a request exceeds a device's memory or limits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 
 AGAIN = 0.0005
-"""Seconds until the library is asked again."""
+"""Seconds between two polls of the library."""
 
 
 def read_aside(device: Device, buffer: Any, dtype: Any = np.uint8) -> NDArray[Any]:

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 
 KEEP = "keep"
-"""Of depth: it is looked at and stays as it is."""
+"""A depth attachment that is read and not changed."""
 
 Color = tuple[Any, tuple[float, float, float, float] | None]
-"""A texture's view, and what it is cleared with; None: what it holds is loaded."""
+"""A texture's view, and its clear value; None: its content is loaded."""
 
 
 class Attachments:

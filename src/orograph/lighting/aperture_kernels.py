@@ -16,7 +16,7 @@ from orograph.lighting.caps import exact_overlap, smooth_overlap
 
 EAST, NORTH, UP, RADIUS, COSINE, SINE, AREA, RED, GREEN, BLUE = range(10)
 """Columns of a table of suns: direction, angular radius and its cosine and sine, solid angle, irradiance of a surface
-square to it."""
+that faces it."""
 
 X, Y, Z, LAMP_RED, LAMP_GREEN, LAMP_BLUE = range(6)
 """Columns of a table of lamps: place (metres east and north of sample (0, 0), height), irradiance at one metre."""

@@ -94,7 +94,7 @@ BAKED: dict[str, Baked] = {
     "insolation": Baked(bits=16, more=(("date", None), ("step", 10.0), ("turbidity", 3.0))),
     "sunshine": Baked(bits=16, more=(("date", None), ("step", 10.0))),
 }
-"""Products that can be baked. The others follow from heights at once, or hold for one sun only."""
+"""Products that can be baked. The others follow quickly from heights, or hold for only one sun."""
 
 
 Store = StoredTerrain | str | Path

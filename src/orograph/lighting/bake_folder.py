@@ -32,7 +32,7 @@ from orograph.store.stored import read_record
 Place = FolderStorage | BucketStorage
 
 KEY = f"{PARTIAL}/{PLAN}"
-"""Where its plan lies."""
+"""The key of its plan."""
 
 
 def plan_of(made: list[LayerRecord], count: int | None = None) -> dict[str, Any]:

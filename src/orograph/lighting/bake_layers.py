@@ -37,7 +37,7 @@ SAID = {
     "mean": "mean of the valid samples of each block",
     "cap": "caps of each block's mean area, towards the mean of sin^2(radius) times their directions",
 }
-"""What a layer's record says of its averaging."""
+"""The averaging in a layer's record."""
 
 
 def is_cap(layer: LayerRecord) -> bool:

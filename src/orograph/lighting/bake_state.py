@@ -55,7 +55,7 @@ CACHE = 64 << 20
 """Bytes of a worker's cache of heights."""
 
 STRIPS = 4
-"""Strips of a shard: of lines in all directions, an eighth is swept twice (of whole shards it was half)."""
+"""Strips of a shard: an eighth of the lines of all directions is then swept twice (half with whole shards)."""
 
 SWEEP = 192 << 20
 """Bytes for the heights, slopes and stacks of a task."""

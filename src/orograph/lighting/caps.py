@@ -18,7 +18,7 @@ import math
 from orograph._numba import shared
 
 POINT = 1e-5
-"""Radians below which a cap is seen whole or not at all: the closed form would be lost in rounding."""
+"""Radians below which a cap is visible fully or not at all, because the closed form would suffer from rounding."""
 
 
 @shared

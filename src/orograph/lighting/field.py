@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 PIXELS = math.sqrt(2.0)
-"""Samples are at most so many pixels apart, and at least half as many, where windows are as fine as the pixels."""
+"""Spacing of samples in windows as fine as the pixels: between half this number of pixels and this number."""
 SQRT_HALF = math.sqrt(0.5)
 _STRIP = 256
 """Rows that a thread decodes at a time."""

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from orograph.lighting.products import Product
 
 _AROUND = 1 << 16
-"""Bytes that the system maps around a touched place of a file."""
+"""Bytes that the system maps around an accessed place of a file."""
 _TOUCHED = 16 << 20
 """Bytes of a canvas on disk that a thread may have in memory before releasing them."""
 _WINDOW = 1 << 20

@@ -16,7 +16,7 @@ from orograph.lighting.occlusion_kernels import GOLDEN, LEVEL, _frame, _shift
 from orograph.raycast.kernels import ray
 
 SMALL = 0.9990
-"""Cosine of a disc's radius from which on five rays tell whether it is seen whole, or not at all (2.5°)."""
+"""Cosine of the radius (2.5°) of discs for which five rays decide whether all or nothing is visible."""
 
 
 @inlined

@@ -51,11 +51,11 @@ ELSEWHERE = {
     "shadow-maps": "orograph.lighting.gpu.occlusion_maps",
     "cone-tracing": "orograph.lighting.gpu.cone_tracing",
 }
-"""Methods of later layers: modules with ``run(context) → blocks``. They are known here only by name, and imported on
-demand: this layer works without a GPU and its extra."""
+"""Methods of later layers: modules with ``run(context) → blocks``. This layer has only their names, imports them on
+demand, and so works without a GPU and its extra."""
 
 LIFT = 1e-4
-"""Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
+"""Height in cells at which rays begin: the ε of p + εω, but upward, so that they begin on the lit side."""
 
 _TIE = 1e-9
 _BLOCK, _WIDTH = 256, 512

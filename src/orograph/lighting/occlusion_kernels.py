@@ -22,7 +22,7 @@ from orograph.raycast.kernels import ray
 
 GOLDEN = 0.6180339887498949
 LEVEL = 2
-"""Where in the caster's pyramid a ray begins: near the ground, which most occluders are."""
+"""The level of the caster's pyramid at which a ray begins: low, because most occluders are near."""
 
 
 class Samples(NamedTuple):
@@ -247,7 +247,7 @@ def _reach(s0, z0, s1, z1, t):
 
 
 WIDE = 0.1
-"""Radians of elevation over which one parabola stands for ρ along a piece of profile."""
+"""Radians of elevation over which one parabola approximates ρ along a piece of profile."""
 
 
 @leaf

@@ -111,7 +111,7 @@ MEANT = {
     **dict.fromkeys(("sun-hours", "sunshine-hours", "sunshine-duration", "sun-duration", "hours"), "sunshine"),
     **dict.fromkeys(("sun", "hours-of-sun", "direct-sun", "insolation-time", "duration"), "sunshine"),
 }  # fmt: skip
-"""Names of products in other tools, and here."""
+"""Names of products in other tools, and their equivalents here."""
 
 
 def product(name: str) -> Product:

@@ -30,7 +30,7 @@ from orograph.store.terrain import Terrain
 Values = NDArray[np.float32]
 
 PLAN = "plan.json"
-"""The first file of such a folder, and the last to be removed: what lies beside it belongs to it."""
+"""The first file in such a folder, and the last to be removed: everything beside it belongs to it."""
 
 _CHUNK = 1 << 22
 """Values written at once."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 ZENITH_DEPTH = np.array([0.085, 0.145, 0.275])
-"""Optical depth of a clear atmosphere straight up, per colour: Rayleigh and thin haze (Bird & Hulstrom 1981)."""
+"""Optical depth of a clear atmosphere towards the zenith, per colour: Rayleigh and thin haze (Bird & Hulstrom 1981)."""
 
 
 def disc_fraction(horizon: ArrayLike, altitude: float, diameter: float) -> Array:

@@ -33,11 +33,11 @@ from orograph.geo.grid import Grid
 Array = NDArray[np.float64]
 
 DIAMETER = 0.53
-"""Degrees across the sun's disc, its mean (0.524 in July, 0.542 in January)."""
+"""Mean diameter of the sun's disc, degrees (0.524 in July, 0.542 in January)."""
 
 _EARTH = 6378137.0
 _STEP = 100.0
-"""Metres walked on the ellipsoid to see which way an azimuth points on the grid."""
+"""Length of the step on the ellipsoid that gives an azimuth's direction on the grid, metres."""
 
 
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -203,7 +203,7 @@ def parse(text: str) -> Placed | Moment:
 
 
 Given = Sun | Placed | Moment | datetime.datetime | str | tuple[float, float]
-"""What a sun may be given as (see ``sun_of``)."""
+"""The forms of a sun (see ``sun_of``)."""
 
 
 def sun_of(given: Given, grid: Grid) -> Sun:

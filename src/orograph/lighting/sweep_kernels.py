@@ -37,7 +37,7 @@ I32 = NDArray[np.int32]
 PAGE = 32
 """Points in a page of the stacks' pool."""
 GROUP = 16
-"""Lines swept together: as many samples as a cache line holds, so that sweeps across memory use all they fetch."""
+"""Lines swept together: as many as a cache line has samples, so that sweeps across memory use all of it."""
 
 _LOW = PAGE - 1
 _SHIFT = PAGE.bit_length() - 1

@@ -16,7 +16,7 @@ from orograph.lighting.sweep_kernels import PAGE, Stacks
 T = TypeVar("T")
 
 _TIE = 1e-6
-"""A line this close (in samples) to a sample goes through it: rounding must not decide which two it lies between."""
+"""A line this close to a sample (in samples) goes through it, so that rounding does not choose its neighbours."""
 
 
 def direction(azimuth: float) -> tuple[float, float]:

@@ -35,11 +35,11 @@ Work = Callable[[], object]
 _BAND = 256
 """Steps of a band: the tiles of a store."""
 _NARROW = 64
-"""Steps of a band where memory is short, before fewer azimuths share a pass."""
+"""Steps of a band when memory is short; below this, fewer azimuths share a pass."""
 _CACHE = 16 << 20
-"""Slopes of two bands that are still in the processor's cache, more or less, when they are used."""
+"""Slopes of two bands that fit about into the processor's cache until they are used."""
 _CLASH = 128
-"""Rows that are a multiple of so many samples long share their places in the cache."""
+"""Rows whose length is a multiple of this number of samples share cache sets."""
 
 
 def pitch(cols: int) -> int:

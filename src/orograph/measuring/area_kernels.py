@@ -17,7 +17,7 @@ PLAN, MISSING, SURFACE, SURFACE_GRID, HEIGHT, ABOVE, BELOW = range(7)
 """Sums: cells of ground and of holes (areas in samples²), surface in true metres² and in grid metres², and times cells:
 height, height above the level, height below it."""
 ROOM = 32
-"""A cut makes at most 1.5 points of one; at most eight cuts follow each other."""
+"""A cut multiplies points by at most 1.5, and there are at most eight cuts in sequence."""
 
 
 @leaf

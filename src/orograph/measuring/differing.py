@@ -32,11 +32,11 @@ from orograph.progress import SILENT, Progress
 BLOCK = 1024
 """Samples along the side of a block."""
 CELLS = 128
-"""Side of a square in which all cells are taken to be as large as the middle one, in samples."""
+"""Side in samples of a square whose cells all count as large as the middle one."""
 NORMAL = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
 ENDS = (0.01, 0.99)
-"""Quantiles that a colour scale covers at least."""
+"""Quantiles that a colour scale must cover."""
 
 Box = tuple[int, int, int, int]
 Array = NDArray[np.float64]

@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 SAME = 1e-12
 """Crossings of a line nearer to each other than this fraction count as one."""
 ASIDE = 1e-7
-"""How far beside a place on an edge its other triangle is looked for if one is missing, samples."""
+"""Offset in samples from a place on an edge to find its other triangle, if one is missing."""
 
 
 @dataclass(frozen=True, slots=True)

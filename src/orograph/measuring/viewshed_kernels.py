@@ -20,7 +20,7 @@ from orograph._numba import inlined, kernel, leaf
 
 MISSING = np.int32(-(2**31))
 FAR = np.int32(-(2**31) + 1)
-"""The lowest apparent height there is: ground far under the horizon is no lower than this."""
+"""The lowest apparent height: ground far below the horizon is clamped to it."""
 
 INF = np.inf
 

@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 LATTICE = 17
 """Places along each side of the window where distances are geodesic."""
 EXTREMES = 0.01, 100.0
-"""Of r: beyond, a projection is not what it should be used for."""
+"""Limits of r, beyond which a projection is unsuitable."""
 FINEST = 16
-"""Apparent heights are multiples of 2^−16 m, or more where that does not hold their range in 31 bits."""
+"""Apparent heights are multiples of 2^−16 m, or of more if their range would exceed 31 bits."""
 
 
 @dataclass

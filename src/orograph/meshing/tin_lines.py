@@ -26,7 +26,7 @@ Edge = tuple[int, int, int, int]
 Key = tuple[int, int]
 
 ROUNDS = 200
-"""How often edges of a tile may be parted where they cross: each time they become shorter."""
+"""How often edges of a tile may be split where they cross; each time they become shorter."""
 
 
 def edges_by_tile(lines: Sequence[NDArray[np.float64]], shape: tuple[int, int], side: int) -> dict[Key, list[Edge]]:

@@ -29,7 +29,7 @@ from orograph.triangulation.mesh import (
 )
 
 MOST = 14
-"""Neighbours of a vertex that may be taken out."""
+"""Maximum neighbours of a vertex that may be removed."""
 
 
 class Polygon(NamedTuple):

@@ -31,14 +31,14 @@ NO_LINES = np.empty((0, 4), np.int64)
 """No edges."""
 
 ROUNDING = 1e-9
-"""Metres by which outlines keep below the bound, so that the planes beside them do not exceed it by rounding."""
+"""Metres by which outlines stay below the bound, so that adjacent planes do not exceed it by rounding."""
 
 LEAST_ERROR = 1e-7
 """Metres: a smaller bound counts as this one."""
 
 BORDER = 0.7
-"""Of a bound on the surface, the part that outlines keep: beside coarser ones it often cannot be kept, and tiles are
-made again."""
+"""The part of a bound on the surface that outlines keep. With coarser outlines it often cannot be kept, and tiles
+are made again."""
 
 
 class Tile(NamedTuple):

@@ -23,7 +23,7 @@ MEMORY = 1 << 30
 """Bytes of tiles that a method may hold if no limit is given."""
 
 ALWAYS = ("cull", "geomorph")
-"""Options of patches that the GPU does not set: it culls, and lets vertices grow."""
+"""Options of patches that are fixed on the GPU: it culls, and lets vertices grow."""
 
 
 def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> Choice | None:

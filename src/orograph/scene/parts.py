@@ -48,7 +48,7 @@ SHINING = ("aperture", "raytraced")
 """Lights that take lamps and further discs."""
 
 CALLED = "`{0.name}`"
-"""How error messages call an option."""
+"""Names of options in error messages."""
 
 
 STEEPEST = 1e9

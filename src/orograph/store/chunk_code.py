@@ -54,7 +54,7 @@ from orograph.store.chunked import (
 )
 
 HEADER = ("vertices", "triangles", "hung", "runs", "leaves", "flags", "base", "bits")
-"""Of a chunk: vertices, triangles, edges that a skirt hangs from, runs, leaves of a run; ``flags``: 64 + log2 of the
+"""A chunk's counts of vertices, triangles, edges with a skirt, runs, leaves of a run; ``flags``: 64 + log2 of the
 step (8 bits), ``drop`` (8 bits), ``VOIDS``, ``EXACT``; the lowest height, steps; bits of a corner's height above that
 (8 bits) and of its difference in the coarser mesh (8 bits)."""
 

@@ -22,12 +22,13 @@ from orograph.store.chunked import MISSING
 
 ABOUT = 11
 ROW, COL, SIDE, LAST_ROW, LAST_COL, LEVELS, HOLES, DROP, BASE, HIGH, MOVED = range(ABOUT)
-"""What there is to know about a chunk: its first row and column, its side, the raster's last row and column, how often
+"""Facts about a chunk: its first row and column, its side, the raster's last row and column, how often
 its triangles may be halved, whether heights may be missing; bits of the skirt's depths, the lowest height, bits of
 heights above it and of targets' differences."""
 
 APEX, ENTRY, EXIT, NEW, NEW_FIRST, NEW_SECOND, DEEP = range(7)
-"""Of a node: its corners; which edges are new: the hypotenuse, the leg at the entry and that at the exit; its depth."""
+"""Fields of a node: its corners; which edges are new: the hypotenuse, the leg at the entry and that at the exit; its
+depth."""
 
 
 @inlined

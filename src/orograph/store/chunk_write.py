@@ -28,9 +28,9 @@ from orograph.store.chunked import DEPTH, MET, MISSING, ONES, PARTS, RAW
 from orograph.store.chunked_kernels import DROPPED, KEPT, SPLIT, slot
 
 MISSED, HEIGHT, KEPT_, DELTA, REST, AT, BESIDE, DOWN = range(8)
-"""Of a vertex to be written: whether it is missing, its height above ``BASE``, whether its target is its height, 1 +
-how its target differs (zigzag), its residual (zigzag), the depth of the nodes that it splits, whether it lies on a side
-of the chunk, how low the skirt hangs."""
+"""Fields of a vertex to write: whether it is missing, its height above ``BASE``, whether its target equals its height,
+1 + the difference of its target (zigzag), its residual (zigzag), the depth of the nodes that it splits, whether it lies
+on a side of the chunk, the depth of the skirt."""
 
 
 @kernel

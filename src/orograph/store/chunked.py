@@ -49,10 +49,10 @@ PARTS = 64
 """Heights of the coarser mesh are stored in this fraction of a step."""
 
 DEPTH, MET, WORDS = 48, 192, 320
-"""Of a compressed chunk: its tree is at most this deep; no run has more vertices, or words."""
+"""Limits of a compressed chunk: depth of its tree; vertices, and words, of a run."""
 
 ONES, RAW = 8, 20
-"""There a residual whose higher bits take this many ones is written in so many bits."""
+"""In a compressed chunk, a residual with this many leading ones is written in RAW bits."""
 
 Words = NDArray[np.uint32]
 Corners = NDArray[np.int64]

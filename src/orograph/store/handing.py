@@ -25,7 +25,7 @@ from orograph.store.storage import FolderStorage, Storage
 
 PLACE = f"{HANDED}/source"
 LEFT = f"{PLACE}/left.json"
-"""What a part has left there, and of which files and options."""
+"""The arrays that a part has stored, with their files and options."""
 
 SEVERAL = 64
 """Files that workers need not open for their headers."""

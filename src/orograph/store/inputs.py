@@ -19,7 +19,7 @@ DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
 """Defaults of the options that are not None by default."""
 
 LINES = "lines"
-"""The name of what one process tells another of the headers of many files."""
+"""The name of the lines with which a process passes on the headers of many files."""
 
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:

@@ -29,11 +29,11 @@ from orograph.synthesis.terrain import example
 from orograph.synthesis.windows import Range
 
 BEGIN = 3
-"""The least number of doublings between the finest places and those that colours begin with: more makes larger pieces,
-which follow the ground less closely."""
+"""Minimum doublings from the first places of colours to the finest: more give larger pieces, which fit the ground less
+well."""
 
 LIKE = 2
-"""By what factor the ground counts more than for detail."""
+"""Weight of the ground, relative to its weight for detail."""
 
 
 class Every:

@@ -22,7 +22,7 @@ from orograph.synthesis.steered import TRIES, Guide, Steered, Steering
 from orograph.synthesis.windows import Range
 
 WIDEST = 1 << 15
-"""Samples along a side of an exemplar, so that a random place in its plane takes 32 bits."""
+"""Maximum samples along a side of an exemplar, so that a random place in its plane takes 32 bits."""
 
 
 class FractalOnGpu(Fractal):

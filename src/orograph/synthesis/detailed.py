@@ -33,16 +33,16 @@ if TYPE_CHECKING:
     from orograph.gpu.device import Device
 
 MOST = 10
-"""The most doublings."""
+"""Maximum doublings."""
 
 TILES = 1 << 21
-"""The most tiles of the finest level."""
+"""Maximum tiles of the finest level."""
 
 SEEN = 0.25
-"""Metres that detail is worth at most, of the spacing of samples: of half a pixel where these are two pixels apart."""
+"""Maximum height of detail, as a part of the samples' spacing: half a pixel if they are two pixels apart."""
 
 FALL = 0.5
-"""By which residuals are taken to fall from level to level, at least, where it is told how large they may be."""
+"""Assumed minimum factor by which residuals fall from level to level, to estimate how large they may be."""
 
 
 class Detailed(Terrain):

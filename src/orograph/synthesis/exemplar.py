@@ -20,16 +20,16 @@ from orograph.progress import SILENT, Progress
 from orograph.synthesis.similar import similar_places
 
 MOST = 1 << 22
-"""Samples of an exemplar; one takes some 100 bytes for each."""
+"""Maximum samples of an exemplar, which takes some 100 bytes per sample."""
 
 SMALLEST = 32
 """The fewest samples along a side of an exemplar."""
 
 OCTAVES = 3
-"""Between a level and the one that its heights are compared above."""
+"""Octaves between a level and the coarser one from which its heights are measured."""
 
 ROUNDS = 6
-"""Of propagation in the search for similar places."""
+"""Rounds of propagation in the search for similar places."""
 
 Integers = NDArray[np.int32]
 Features = NDArray[np.int16]

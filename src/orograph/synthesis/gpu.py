@@ -18,7 +18,7 @@ _FIELDS = (
     "top", "left", "height", "width", "row0", "col0", "from_width", "rows", "cols", "step", "reach", "seed", "kappa",
     "even_row", "even_col", "inset", "doublings", "shift", "own_row0", "own_col0", "own_rows", "own_cols",
 )  # fmt: skip
-"""Of ``Run`` in ``shaders/synthesis_plane.wgsl``."""
+"""The fields of ``Run`` in ``shaders/synthesis_plane.wgsl``."""
 
 
 class Steps:

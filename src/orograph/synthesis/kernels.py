@@ -17,13 +17,13 @@ from orograph._numba import inlined, kernel
 from orograph.dem.noise import hashed
 
 PASSES = 2
-"""Corrections of a level, at most, each in four ordered sub-passes (§3.3)."""
+"""Maximum corrections of a level, each in four ordered sub-passes (§3.3)."""
 
 MARGIN = 2 * 4 * PASSES
 """Places around a window that correction reads: two for each sub-pass."""
 
 ORDER = np.array([[0, 0], [1, 1], [1, 0], [0, 1], [1, 1], [0, 0], [0, 1], [1, 0]], np.int32)
-"""(row, column) parities of the places that each sub-pass corrects; the second pass goes another way round."""
+"""(row, column) parities of the places that each sub-pass corrects; the second pass has another order."""
 
 
 def order(passes: int) -> NDArray[np.int32]:
@@ -32,8 +32,8 @@ def order(passes: int) -> NDArray[np.int32]:
 
 
 COHERENT, STRADDLING = 4, 4
-"""A candidate's distance times 4 if it continues a neighbour, times 4 + kappa if it is only like what would; times 4
-again if its neighbourhood lies across a mirror."""
+"""Factors of a candidate's distance: 4 if it continues a neighbour, 4 + kappa if it is only similar to such a place;
+times 4 if its neighbourhood crosses a mirror."""
 
 
 @inlined

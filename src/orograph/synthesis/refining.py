@@ -34,7 +34,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 MISSING = -(1 << 31)
-"""In place of a height where there is none."""
+"""Marks a missing height."""
 
 HIGHEST = 27
 """Bits of the largest height: sums of a few of them fit 32 bits."""
@@ -43,16 +43,16 @@ NOISE = math.sqrt(21845.0)
 """The standard deviation of the noise of ``Fractal``: its variance is 4 · (256² − 1)/12."""
 
 ROUGHEST = 1 << 20
-"""A scale of noise, at most: with ten bits of a place between samples it fits 32 bits."""
+"""Maximum scale of noise: with ten bits for a place between samples, it fits 32 bits."""
 
 SIDE = 256
-"""Samples of a side of the tiles that are kept."""
+"""Samples along a side of the cached tiles."""
 
 REACH = 26
-"""Samples around one that its roughness is told by."""
+"""Samples around one that determine its roughness."""
 
 HURST = 0.5, 1.5
-"""Least and largest exponent by which residuals fall from level to level."""
+"""Smallest and largest exponent by which residuals fall from level to level."""
 
 
 class Lattice(Protocol):

@@ -33,13 +33,13 @@ from orograph.synthesis.refining import (
 from orograph.synthesis.windows import Range
 
 TRIES = 64
-"""Places of the exemplar that each sample of the data begins with."""
+"""Places of the exemplar that are tried for each sample of the data."""
 
 GAIN = 12
-"""Bits of a gain, at most: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
+"""Maximum bits of a gain: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
 
 GROUND = 2.0**-10
-"""Metres that the ground under an exemplar is rounded to before it is smoothed."""
+"""Metres to which the ground under an exemplar is rounded before smoothing."""
 
 Guide = NDArray[np.int16]
 

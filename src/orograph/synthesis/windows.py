@@ -18,11 +18,10 @@ from orograph.synthesis.exemplar import Exemplar, Integers
 from orograph.synthesis.kernels import MARGIN, PASSES, corrected, order, raised, upsampled
 
 JITTER = 0.5
-"""Of a level's step, on the coarser levels; the finest three have none: see ``Endless``."""
+"""Jitter of the coarser levels, in their steps; the finest three have none: see ``Endless``."""
 
 UNCORRECTED = 2
-"""The finest levels that are not corrected, unless ``passes`` says otherwise: nine tenths of the work, which would only
-smooth them."""
+"""Number of finest levels without correction by default: it is nine tenths of the work, and would only smooth them."""
 
 UNSTEERED = np.zeros((1, 1, 0), np.int16)
 

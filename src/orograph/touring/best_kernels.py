@@ -16,7 +16,7 @@ from orograph._numba import inlined, kernel
 from orograph.measuring.viewshed_kernels import along
 
 LEAST = 1e-4
-"""Metres by which ground must stand above a line of sight to hide: less is rounding."""
+"""Metres by which ground must rise above a line of sight to hide: less is rounding."""
 
 
 class Pinholes(NamedTuple):

@@ -40,9 +40,9 @@ PLACES = 64
 WIDER = 1 + 1e-4
 """How much bounds in single precision are widened."""
 ADDS = 1e-9
-"""A view that adds less adds nothing."""
+"""A gain below this counts as none."""
 AMBIENT = 0.5
-"""What a piece counts that no sun reaches, of one that the sun meets head on."""
+"""The weight of a piece without sun, relative to one that faces the sun."""
 SEED = 19
 """Seed of the order in which pieces are tested; the result is the same for any."""
 

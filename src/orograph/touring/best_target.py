@@ -26,8 +26,8 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 POINT, TRACK, AREA = 0, 1, 2
-"""Kinds of pieces: their dimension, which is the power of the distance with which they shrink in a picture (a point's
-with the first, as a track's)."""
+"""Kinds of pieces: their dimension, which is the power of the distance by which they shrink in a picture (for a point
+1, as for a track)."""
 
 KINDS = {"Point": POINT, "LineString": TRACK, "Polygon": AREA}
 

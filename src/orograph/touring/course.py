@@ -38,7 +38,7 @@ Array = NDArray[np.float64]
 
 SOFT = 1.0
 STEP = 1 / 30
-"""The most seconds from one sample of the ground to the next."""
+"""Maximum seconds between two samples of the ground."""
 
 GRADED = 1.0
 PREVIEW = (320, 180)

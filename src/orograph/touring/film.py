@@ -34,10 +34,10 @@ from orograph.touring.playing import Playing
 from orograph.touring.tour import Tour
 
 PACE, INSTANT = 3.0, 0.1
-"""Seconds over which scenarios of a flight change, at least; half of those that a camera's speed is measured in."""
+"""Minimum seconds over which scenarios of a flight change; half the seconds over which a camera's speed is measured."""
 
 WAYPOINTS = 9
-"""Places of a tour that an interval of contour lines is to suit."""
+"""Places of a tour that the interval of contour lines must suit."""
 
 
 class Film:

@@ -26,17 +26,17 @@ from orograph.scene.parts import check_exaggeration
 from orograph.viewpoint import Point, View
 
 Path = Literal["spline", "orbit", "zoom"]
-"""How the camera moves from a key to the next."""
+"""How the camera moves from one key to the next."""
 
 SETTINGS = ("exaggeration", "tolerance", "relief", "water")
-"""What a key may set in the scene, besides its sun: numbers, as in ``picture.Scene``."""
+"""Numbers of the scene that a key may set, in addition to its sun."""
 
 CAMERA = ("eye", "target", "up", "fov_y", "width", "height", "near", "far", "projection", "crs")
 ANGLES = ("azimuth", "heading", "pitch", "distance")
 WAY = ("time", "hold", "stop", "path", "turns")
 FIELDS = (*WAY, *CAMERA, *ANGLES, "sun", *SETTINGS, "layers")
 INHERITED = ("up", "fov_y", "width", "height", "near", "far", "projection", "crs", "path", "sun", *SETTINGS, "layers")
-"""What may be given once for all keys."""
+"""Fields that may be given once for all keys."""
 
 ARM = 1000.0
 """Metres from the eye to the target of a key with a heading and no distance."""

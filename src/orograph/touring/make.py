@@ -37,25 +37,25 @@ from orograph.viewpoint import View
 Array = NDArray[np.float64]
 
 SIDES = 24
-"""Azimuths from which an orbit's whole terrain is held in the picture."""
+"""Azimuths from which the whole terrain of an orbit must fit into the picture."""
 
 TURNTABLE_KEYS = 6
 
 SECONDS = 12.0
-"""For once round."""
+"""Seconds for one turn."""
 
 CLEAR = 0.02
-"""Of its distance to a place that it goes round an eye keeps above the ground: hills may stand around."""
+"""Height above the ground of an eye that orbits a place, as a part of its distance: there may be hills around."""
 
 CRUISE = 12.0
-"""Seconds in which a fly-over crosses as much as it is high above the ground, times ``AHEAD``: a speed that feels even
-whatever the scale."""
+"""Seconds in which a fly-over covers its height above the ground times ``AHEAD``: a speed that looks even at any
+scale."""
 
 AHEAD = 4.0
-"""Heights above the ground that a fly-over looks ahead, along its line."""
+"""How far a fly-over looks ahead along its line, in heights above the ground."""
 
 KEYS_PER_LOOK = 3.0
-"""Keys on the way to what it looks at."""
+"""Keys between the eye and the point it looks at."""
 
 
 @takes_terrain

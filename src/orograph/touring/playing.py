@@ -29,14 +29,14 @@ from orograph.progress import Progress
 from orograph.store.terrain import Terrain
 
 RATE = 2.0
-"""Members a second, where nothing is said."""
+"""Default number of members a second."""
 
 LOOKED_AT = 24
-"""Frames, evenly from all, whose values make the scale."""
+"""Number of evenly spaced frames whose values make the scale."""
 
 LOOKS = ("value", "exceeds", "style", "colormap", "range", "classes", "breaks", "hidden", "size", "opacity", "unit",
          "name", "uncertainty")  # fmt: skip
-"""What of a raster holds for its values, however they are found."""
+"""Properties of a raster that apply to its values, however they are found."""
 
 Key = tuple[tuple[str, int], ...]
 

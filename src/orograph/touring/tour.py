@@ -43,7 +43,7 @@ FORMAT = 1
 """The version of the file's format; ``"tour": 1`` in the file gives it, and may be omitted."""
 
 SIZE = (("width", 1280), ("height", 720))
-"""Pixels of a tour that does not say any."""
+"""Default size of a tour's frames, pixels."""
 
 OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
 

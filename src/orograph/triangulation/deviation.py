@@ -14,7 +14,7 @@ import numpy as np
 from orograph._numba import inlined, leaf
 
 FUZZ = 1e-6
-"""Fractions of a cell: ends of rows are fractions with denominators below 2^14, so rounding is told from them."""
+"""Tolerance for rounding, cells: ends of rows are fractions with denominators below 2^14, so it is safe."""
 
 
 @inlined

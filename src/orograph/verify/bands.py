@@ -29,7 +29,7 @@ from orograph.verify.sweep import Block
 Ints = NDArray[np.int64]
 
 BAND_BYTES = 1 << 25
-"""Roughly how much of a very wide terrain is read at a time."""
+"""Approximate bytes of a very wide terrain that are read at a time."""
 
 BLOCK = 128
 """Columns of a block of a mesh with vertices between samples."""

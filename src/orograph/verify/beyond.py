@@ -15,7 +15,7 @@ from orograph.verify.ground import exists, unit_in_view
 from orograph.verify.strips import ceiling, compare, corners
 
 OF_MISSING, OF_HIDDEN, OF_SEEN = range(3)
-"""What lies beyond an open edge: missing ground, ground out of view, ground (partly) in view."""
+"""Ground beyond an open edge: missing, out of view, (partly) in view."""
 
 
 class OpenEdges(NamedTuple):

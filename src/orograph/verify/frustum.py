@@ -25,7 +25,7 @@ from orograph.geo.grid import Grid
 from orograph.viewpoint import View
 
 BEFORE = 16
-"""The outcode of what lies nearer than the near plane, or not in front of the eye."""
+"""The outcode of points before the near plane, or not in front of the eye."""
 
 
 class Lens(NamedTuple):

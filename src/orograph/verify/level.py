@@ -11,7 +11,7 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 FAR = 1e9
-"""Metres from the eye to the terrain: over an extent of 100 km a pixel changes by 1e-4 of itself."""
+"""Metres from the eye to the terrain: over 100 km, the size of a pixel changes by a factor of 1e-4."""
 
 
 def level_view(terrain: Terrain) -> View:

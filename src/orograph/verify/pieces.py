@@ -30,7 +30,7 @@ NEGLIGIBLE = 1e-6
 """Pixels: errors that are not searched for."""
 
 COLUMN, ROW, X, Y, W, DROP, PARTS = range(7)
-"""What is known of the corners of a polygon: their place on the raster, before the camera, and metres to the mesh."""
+"""Fields of a polygon's corners: place on the raster, place before the camera, metres to the mesh."""
 
 
 class Cells(NamedTuple):

@@ -95,7 +95,7 @@ def west_of(table, k, j, y0, y1):
 
 
 GAPS = (1050113, 262913, 65921, 16577, 4193, 1073, 281, 77, 23, 8, 1)
-"""Of Shellsort, 4^k + 3·2^(k−1) + 1: O(n^4/3) steps (Sedgewick 1986). NumPy's sorts take a second to compile."""
+"""Gaps of Shellsort, 4^k + 3·2^(k−1) + 1: O(n^4/3) steps (Sedgewick 1986). NumPy's sorts take a second to compile."""
 
 
 @leaf

@@ -20,7 +20,7 @@ import numpy as np
 from orograph._numba import inlined, leaf
 
 LONGEST = 1 << 30
-"""The most ticks along a side for which the numbers of fractions fit into int64."""
+"""Maximum ticks along a side for which the fractions' numbers fit into int64."""
 
 C0, R0, C1, R1, C2, R2, BEND = range(7)
 """Columns of a table of triangles: corners in ticks, ordered by (row, column), and where the middle one bulges: −1

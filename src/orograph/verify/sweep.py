@@ -25,7 +25,7 @@ from orograph.verify.spans import Line, find_junctions, ordered, sort_by, sort_w
 from orograph.verify.strips import R0, R2, Strip, sides
 
 SAMPLES, UNCOVERED, HOLES, BRIDGED, DUPLICATES, WRONG_HEIGHTS, COUNTS = range(7)
-"""What a block counts."""
+"""The counts of a block."""
 
 MISSING = 255
 """The outcode of missing samples."""

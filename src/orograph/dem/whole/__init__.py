@@ -76,7 +76,7 @@ from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
 Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
-"""Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
+"""Opens GDAL's name: returns a dataset, and the file's name and state (``handles.lent``)."""
 
 __all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask", "fault_before"]
 
@@ -219,7 +219,7 @@ _CHECKS: dict[str, Check] = {
     "GSAG": text.surfer,
     "XYZ": text.points,
 }
-"""Format → what is wrong with an open dataset of it, given the path of its file on this disk; None: nothing."""
+"""Format → a function from an open dataset and the path of its file on this disk to its fault, or None."""
 
 _KNOWN = 1024
 _DIRECTORIES = 8  # the mask comes before the overviews, or directly after the raster

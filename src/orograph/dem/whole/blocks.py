@@ -214,8 +214,8 @@ def _frame_end(data: bytes) -> int:
 CODECS: dict[str, Callable[[bytes, int, int], str | None]] = {
     "DEFLATE": _deflate, "LZW": _lzw, "PACKBITS": _packed, "ZSTD": _zstandard,
 }  # fmt: skip
-"""Codec → what is wrong with a block's data, given how many bytes they hold, without and with rows
-beyond the raster; None: nothing."""
+"""Codec → a function to a block's fault, or None. It takes its data and its bytes without and with rows beyond the
+raster."""
 
 
 def _place(dataset: Any, band: int, row: int, col: int) -> tuple[int, int] | None:

@@ -27,10 +27,10 @@ Place = tuple[Affine, object]
 """Transform and CRS of a file."""
 
 MARGIN = 2
-"""Samples around a mapped window that resampling may look at."""
+"""Samples around a mapped window that resampling may read."""
 
 SHIFT = 0.75
-"""Samples by which a part may lie elsewhere than its file says: mosaics are laid to the nearest."""
+"""Tolerance in samples between a part's place and its file's: mosaics are placed to the nearest sample."""
 
 _COMPARED = 8
 _CONVERTING = ("ScaleRatio", "ScaleOffset", "LUT", "Exponent")

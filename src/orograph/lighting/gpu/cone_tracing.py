@@ -51,15 +51,15 @@ from orograph.lighting.rho import Transmission, transmission
 TILE = 128
 """Samples along a tile's side."""
 LEVELS = 12
-"""Levels of voxels there can be: cells of 1 m see 40 km."""
+"""Maximum levels of voxels: cells of 1 m see 40 km."""
 FIT = 1 / math.sqrt(3)
-"""Widths of a cone that a voxel read in it is wide: read trilinear, such a voxel blurs as much as the cone's width."""
+"""Width of a voxel in widths of its cone: with trilinear reads, it then blurs as much as the cone's width."""
 FIRST = 2.0
-"""Where voxels are read first: where cones are this many cells wide; nearer it is the ground itself."""
+"""The width of cones, in cells, from which voxels are read; nearer, the ground itself is."""
 CONES = 64
 """Default number of cones."""
 DENSE = 3
-"""Voxels of level l are made out of samples of level l − ``DENSE``."""
+"""Voxels of level l are made from samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
     [("linear", "f4", 4), ("inverse", "f4", 4), ("run", "f4", 4), ("tile", "i4", 4), ("counts", "i4", 4),
      ("levels", [("origin", "f4", 4), ("size", "f4", 4), ("place", "f4", 4)], LEVELS)]

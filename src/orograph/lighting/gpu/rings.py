@@ -23,10 +23,10 @@ from orograph.hierarchy.clip_stack import ClipStack, Rectangle, Ring
 from orograph.store.terrain import Terrain
 
 REACH = 512
-"""Samples of its own that a ring reaches beyond its tile."""
+"""How far a ring reaches beyond its tile, in its own samples."""
 MISSING = np.float32(-1e30)
 BLOCK = 16
-"""Cells along the side of a block: extremes are known by blocks."""
+"""Cells along the side of a block, the unit of extremes."""
 _SNAP = 64  # all rings except the finest begin and end at multiples of this, so that neighbouring tiles share them
 
 

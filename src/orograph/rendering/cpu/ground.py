@@ -40,7 +40,7 @@ from orograph.viewpoint import Camera
 Array = NDArray[np.float64]
 
 COARSEST = 1000.0
-"""Tolerance beyond which nothing more is gained, pixels."""
+"""Tolerance beyond which there is no further gain, pixels."""
 
 
 FIXED_MEMORY = 300 << 20
@@ -50,7 +50,7 @@ MEAN_BYTES = 4 * 4 / 3
 """Bytes per sample of means, including the coarser levels around it."""
 
 Cast = Callable[[Scene, "Sequence[Rectangle] | None", Projection], Surface]
-"""Makes the visible surface of a scene: of these windows of heights, or (None) of the mesh that its method makes."""
+"""Makes the visible surface of a scene: from these windows of heights or (None) the mesh of its method."""
 
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even if --max-memory leaves no room for them."""

@@ -15,7 +15,7 @@ from orograph._numba import inlined, kernel
 from orograph.rendering.lookup import LEAST, SHORE, bilinear, within_map
 
 GRAZING = 0.02
-"""Cosine of the angle between a ray and the ground's normal below which a pixel's footprint grows no longer."""
+"""Cosine of the angle between a ray and the ground's normal below which a pixel's footprint stops growing."""
 
 
 class Light(NamedTuple):

@@ -28,10 +28,10 @@ STRIP = 1 << 21
 """Samples that are read at a time for means."""
 
 EDGE = 1e-12
-"""Barycentric coordinates that rounding may put a sample on an edge beyond it by."""
+"""Tolerance of barycentric coordinates for a sample that rounding puts beyond an edge."""
 
 QUARTERS = 2
-"""Means of level k are made of samples of level k − 2, five each way and weighted as the trapezoid rule has it."""
+"""Means of level k use samples of level k − 2, five along each axis with the weights of the trapezoid rule."""
 
 
 class MeshTerrain(Terrain):

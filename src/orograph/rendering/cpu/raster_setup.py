@@ -20,7 +20,7 @@ from orograph._numba import kernel, leaf
 from orograph.rendering.projection import Projection
 
 BITS = 12
-"""Of a fixed coordinate behind the point."""
+"""Fractional bits of a fixed coordinate."""
 
 ONE = 1 << BITS
 

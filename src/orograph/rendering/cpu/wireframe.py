@@ -35,7 +35,8 @@ FADE, FADED = 6.0, 0.5
 """Ground this many times as far away as the nearest has lines of this part of their opacity."""
 
 WIDTH = 1.0
-"""Of a line in a picture whose shorter side has up to ``USUAL`` pixels; larger pictures, for print, have wider ones."""
+"""Width of a line in a picture whose shorter side has up to ``USUAL`` pixels; larger pictures, for print, have wider
+ones."""
 
 USUAL = 900
 
@@ -43,7 +44,7 @@ DENSE, FAINT = 5.0, 0.3
 """Lines between triangles less than this many pixels high would make one dark area: they are fainter, down to FAINT."""
 
 SPARED = 0.85
-"""The part of lines that is left out where labels stand."""
+"""The part of lines that is omitted where labels are."""
 
 BANDS = 16
 
