@@ -50,8 +50,10 @@ class Aligned:
         self._layers = [layer_of(lattice, grid, resampling) for lattice in lattices]
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """Heights of a half-open window of ``grid``, float32 metres, NaN where missing; the same whatever the
-        window."""
+        """Heights of a half-open window of ``grid``, float32 metres, NaN where missing.
+
+        They do not depend on the window.
+        """
         top, _, left, _ = self._window
         box = top + row0, top + row1, left + col0, left + col1
         return self._raster.read(*box) if self._own else filled(self._resampling, self._layers, *box)

@@ -174,8 +174,10 @@ def from_dataset(dataset: xr.Dataset, *, crs: str | CRS | None = None, name: str
 
 
 def heights_in(dataset: xr.Dataset) -> xr.DataArray:
-    """The only two-dimensional variable of a Dataset, or of several the one that holds heights by its ``standard_name``
-    (CF) or its name.
+    """The variable of a Dataset that holds heights.
+
+    It is the only two-dimensional one or, if there are several, the one that is declared as heights by its
+    ``standard_name`` (CF) or its name.
 
     Raises:
         UsageError: there is none, or the choice is ambiguous.
@@ -198,8 +200,10 @@ def heights_in(dataset: xr.Dataset) -> xr.DataArray:
 
 
 def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
-    """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
-    None, None where it has none along its rows and columns."""
+    """The values of an image or a raster and their place, from its coordinates; None, None if it has none.
+
+    Values are (rows, cols) or (rows, cols, bands).
+    """
     flat, transform, crs = located(array)
     return flat.to_numpy(), transform, crs
 

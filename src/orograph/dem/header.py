@@ -283,8 +283,9 @@ def assumed_vertical(text: str) -> str:
 
 
 def unit_of(dataset: Any, band: int, crs: CRS | None, unit: str | None, warnings: list[str]) -> float:
-    """Metres per unit of the (scaled) values: the requested unit, else the band's unit tag, else the .prj beside it,
-    else the vertical axis of the CRS. Negative for depths, unless a unit is requested.
+    """Metres per unit of the (scaled) values; negative for depths, unless a unit is requested.
+
+    In this order: the requested unit, the band's unit tag, the .prj beside it, the vertical axis of the CRS.
 
     Raises:
         UsageError: the requested unit is unknown.

@@ -210,8 +210,10 @@ class Source:
 
     @property
     def code(self) -> tuple[str, float]:
-        """(dtype, nodata) of its numbers where they are whole metres of 8 or 16 bits and a nodata value says which of
-        them are missing; else ("float32", nan), which is what is read of them."""
+        """(dtype, nodata) of its numbers if these are heights themselves; else ("float32", nan), as they are read.
+
+        They are heights if they are whole metres of 8 or 16 bits, and a nodata value marks missing ones.
+        """
         plain = (self.scale, self.offset, self.unit_factor, self.encoding, self.valid) == (1.0, 0.0, 1.0, None, None)
         if plain and self.nodata is not None and self.dtype in ("int8", "uint8", "int16", "uint16"):
             limits = np.iinfo(self.dtype)
@@ -225,8 +227,7 @@ class Source:
         return self.grid.shape
 
     def read(self, row0: int, row1: int, col0: int, col1: int, *, step: int = 1) -> NDArray[np.float32]:
-        """Heights of every ``step``-th sample of the half-open window, from its first: float32 metres, NaN where
-        missing.
+        """Heights of every ``step``-th sample of the half-open window, from its first: float32 metres, NaN if missing.
 
         Safe from any thread. The samples are the file's own, whatever overviews it has.
 

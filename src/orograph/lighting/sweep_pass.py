@@ -43,8 +43,10 @@ _CLASH = 128
 
 
 def pitch(cols: int) -> int:
-    """Samples from one row to the next in memory: an odd number of cache lines, so that rows do not share their places
-    in the cache, as they do a power of two apart."""
+    """Samples from one row to the next in memory.
+
+    It is an odd number of cache lines, so that rows do not share cache sets, as they do a power of two apart.
+    """
     return (-(-cols // GROUP) | 1) * GROUP
 
 

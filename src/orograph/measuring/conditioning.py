@@ -61,8 +61,10 @@ class Checks(NamedTuple):
 
 
 def read_checks(source: Any, tau: float, terrain: Terrain) -> Checks:
-    """Check points: an array (n, 3) of easting, northing and height in the terrain's CRS and heights; or a table, a
-    file or a ``Dataset`` of points with measured heights (and their uncertainty, if it has one).
+    """Check points from an array, a table, a file or a ``Dataset``.
+
+    An array is (n, 3): easting, northing and height in the terrain's CRS and heights. The others have points with
+    measured heights, and optionally their uncertainty.
 
     Raises:
         ReadError: none is on ground. UsageError: there are too many, or no heights.

@@ -195,8 +195,7 @@ def _squares(values: NDArray[Any]) -> Array:
 
 
 def _cells(grid: Grid, box: Box) -> Array:
-    """Metres² of ground per cell in each of a block's squares; on the map where the projection's scale is not
-    defined."""
+    """Metres² of ground per cell in each of a block's squares; on the map if the projection's scale is undefined."""
     rows, cols = (
         (np.minimum(np.arange(start, stop, CELLS) + CELLS, stop) + np.arange(start, stop, CELLS) - 1) / 2
         for start, stop in ((box[0], box[1]), (box[2], box[3]))

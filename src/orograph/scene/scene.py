@@ -186,8 +186,7 @@ class Scene:
 
     @property
     def keys(self) -> tuple[Legend, ...]:
-        """The meaning of the data's colours and signs: first of standing things, then of painted data, the uppermost
-        first."""
+        """The meaning of the data's colours and signs: first standing objects, then painted data, uppermost first."""
         things = self.theme.things
         painted = [layer.key for layer in reversed(drawn(self.data.layers)) if layer.key is not None]
         own = (*((things.legend,) if things is not None else ()), *painted)

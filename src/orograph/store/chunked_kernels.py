@@ -150,8 +150,10 @@ def _put(places, vertices, at, row, col, heights, last_row, last_col):
 
 @kernel
 def middle(lr, lc, rr, rc, left, right, own, last_row, last_col):
-    """The height of a vertex on the edge between two others, any of which may be squeezed onto the raster's border;
-    its own height where squeezing takes it off their edge."""
+    """The height of a vertex on the edge between two others, any of which may be squeezed onto the raster's border.
+
+    It is its own height if squeezing takes it off their edge.
+    """
     if max(lr, rr) <= last_row and max(lc, rc) <= last_col:
         return (left + right) / 2
     if lr == rr:

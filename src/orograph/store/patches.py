@@ -121,8 +121,9 @@ def patch_colors(
 
 
 class PatchErrors:
-    """P′ of all patch diamonds of a terrain during its computation: blocks of P in any order, from any thread, then the
-    rest.
+    """The computation of P′ of all patch diamonds of a terrain.
+
+    Blocks of P come in any order, from any thread; then the rest follows.
 
     Args:
         terrain, legs: as for ``patch_errors``. table: the errors.

@@ -121,8 +121,10 @@ def side_of(tree, outline, p, q):
 
 @inlined
 def on_side(tree, truth, outline, side, p, q):
-    """The vertex that halves an edge on an inner side: column, row, height, whether it is a Steiner point,
-    and whether there is room for it."""
+    """The vertex that halves an edge on an inner side.
+
+    Column, row, height, whether it is a Steiner point, and whether there is room for it.
+    """
     upright = side < 2
     one, two = (tree.y[p], tree.y[q]) if upright else (tree.x[p], tree.x[q])
     low, high = min(one, two), max(one, two)

@@ -146,8 +146,7 @@ class Making:
         return (row * across + col, other) if 0 <= row < across and 0 <= col < across else None
 
     def _truth(self, block: int) -> tuple[Truth, tuple[int, int, int, int]]:
-        """The truth within a block; the sample spacing, the row length of its window, and the window's first column
-        and row."""
+        """The truth within a block; the sample spacing, and its window's row length, first column and first row."""
         west, east, north, south = self.bounds(block)
         if self.surface is not None:
             s = self.surface

@@ -172,8 +172,9 @@ class Look(ShardStage[Facts]):
 def _compared(
     around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The result for the samples that count: (their number, the largest deviation, the largest loss of a summit, the
-    highest sample, its loss), and the sums of the squares of the deviations in each block.
+    """The result for the samples that count, and the sums of the squares of the deviations in each block.
+
+    The result is: their number, the largest deviation, the largest loss of a summit, the highest sample, its loss.
 
     Args:
         around: (rows + 2, cols + 2) samples, with their neighbours.

@@ -30,8 +30,11 @@ def edge(px, py, qx, qy, x, y):
 
 @leaf
 def plane_of(camera, mesh, triangle):
-    """(a, b, c, nearest, farthest): a·x + b·y + c is 1/depth at pixel position (x, y) in perspective, in a plan depth;
-    and the depths of the nearest and farthest corner."""
+    """(a, b, c, nearest, farthest) of a triangle.
+
+    a·x + b·y + c is 1/depth at pixel position (x, y) in perspective, and depth in a plan; nearest and farthest are the
+    depths of its corners.
+    """
     i, j, k = mesh.triangles[triangle, 0], mesh.triangles[triangle, 1], mesh.triangles[triangle, 2]
     p, q, r, o = mesh.vertices[i], mesh.vertices[j], mesh.vertices[k], camera.o
     ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
