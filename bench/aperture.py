@@ -1,9 +1,10 @@
-"""Ambient apertures beside soft shadows by rays: errors, pictures of them, and what they add to the cost of a picture.
+"""Ambient apertures compared with ray-traced soft shadows: errors, pictures of them, and the cost per picture.
 
-Run: ``python bench/aperture.py [DEM] [--size 256] [--pictures DIR]``. Without a DEM the terrain is a fractal at 30 m.
-Light is that of one sun relative to a surface square to it, so errors are in parts of full light. ``--pictures`` saves,
-for every sun, rays, aperture and their difference side by side. What a picture costs is measured twice: whole pictures
-of 1280 × 720 from a store with baked apertures, by every light; and what the kernel alone adds per hit.
+Run: ``python bench/aperture.py [DEM] [--size 256] [--pictures DIR]``. Without a DEM, the terrain is a fractal with a
+spacing of 30 m. The light comes from one sun and is relative to a surface that faces it, so errors are fractions of
+full light. For every sun, ``--pictures`` saves the ray-traced picture, the aperture's, and their difference side by
+side. The cost of a picture is measured in two ways: whole pictures of 1280 × 720 from a store with baked apertures,
+with each kind of light; and the time that the kernel alone adds per hit.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ WHITE = (1.0, 1.0, 1.0)
 
 
 def errors(h: np.ndarray, linear: np.ndarray, rays: int, pictures: Path | None) -> None:
-    """Print the table of errors; save the pictures."""
+    """Print the table of errors and save the pictures."""
     start = time.process_time()
     caps = aperture(h, linear, azimuths=64, jobs=1)
     print(f"\ncaps out of 64 horizons: {(time.process_time() - start) / h.size * 1e6:.2f} s per Mpx with compiling")
@@ -50,7 +51,7 @@ def errors(h: np.ndarray, linear: np.ndarray, rays: int, pictures: Path | None) 
 
 
 def save(path: Path, truth: np.ndarray, made: np.ndarray) -> None:
-    """Rays, aperture, and their difference: blue where the aperture is darker, red where it is brighter."""
+    """Rays, aperture, and difference: blue where the aperture is darker, red where it is brighter."""
     from PIL import Image
 
     grey = [np.clip(a, 0, 1) ** (1 / 2.2) for a in (truth, made)]
@@ -62,7 +63,7 @@ def save(path: Path, truth: np.ndarray, made: np.ndarray) -> None:
 
 
 def cost(h: np.ndarray, linear: np.ndarray) -> None:
-    """What light through caps adds to a picture of 1280 × 720, on one thread."""
+    """What light through spherical caps adds to a picture of 1280 × 720, on one thread."""
     from orograph.lighting.normal import gradient
     from orograph.raycast.caster import Caster
 
@@ -82,7 +83,7 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
     d0 = ways[0] - 640 * ways[1] - 360 * ways[2]
 
     def trace() -> tuple[np.ndarray, np.ndarray]:
-        """Hits and slopes at them: what an unlit picture has to find anyway."""
+        """Find the hits and their slopes, which an unlit picture needs too."""
         t, _ = caster.cast_pinhole(eye, d0, ways[1], ways[2], (720, 1280))
         py, px = np.nonzero(np.isfinite(t))
         points = eye + t[py, px, None] * (d0 + px[:, None] * ways[1] + py[:, None] * ways[2])
@@ -106,7 +107,7 @@ def cost(h: np.ndarray, linear: np.ndarray) -> None:
 
 
 def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
-    """Whole pictures of 1280 × 720 from a store with baked apertures, by each light: as a command, in a process."""
+    """Time pictures of 1280 × 720 from a store with baked apertures, with each light: as a command and in a process."""
     import tempfile
 
     from affine import Affine
@@ -124,7 +125,7 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
         bake(path, ["aperture", "ambient-occlusion"]).close()
         lights = ("none", "aperture", "ao", "relief")
         wall, cpu, command, stages = (dict.fromkeys(lights, np.inf) for _ in range(4))
-        for light in lights:  # kernels are compiled
+        for light in lights:  # compiles the kernels
             with orograph.open(path) as terrain:
                 orograph.render(terrain, size=(64, 36), sun=(300, 30), light=light)
         for _ in range(rounds):
@@ -145,12 +146,12 @@ def pictures(h: np.ndarray, linear: np.ndarray, rounds: int) -> None:
     print("\n| light of a 1280 × 720 picture | command s | beside unlit | in a process, s | | processor s | | stages |")
     print("|---|---|---|---|---|---|---|---|")
     for light in lights:
-        told = (f"{t[light]:.3f} | {t[light] / t['none']:.2f}" for t in (command, wall, cpu))
-        print(f"| {light} | {' | '.join(told)} | {stages[light]} |")
+        cells = (f"{t[light]:.3f} | {t[light] / t['none']:.2f}" for t in (command, wall, cpu))
+        print(f"| {light} | {' | '.join(cells)} | {stages[light]} |")
 
 
 def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
-    """Frames of 1280 × 720 by the GPU renderer from a store with baked apertures, by each light, in turn."""
+    """Time frames of 1280 × 720 of the GPU renderer from a store with baked apertures, with each light in turn."""
     import tempfile
 
     from affine import Affine
@@ -179,7 +180,7 @@ def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
         with orograph.open(path) as terrain:
             view = whole(terrain, (1280, 720))
             drawn = {}
-            for light, more in ways.items():  # a renderer each, so that they can take turns
+            for light, more in ways.items():  # one renderer for each light, so that they can take turns
                 renderer, scene = (
                     Renderer(device, terrain),
                     Scene.of(terrain, view, sun=Sun(300, 30), light=light, tolerance=1.0),
@@ -191,7 +192,7 @@ def frames(h: np.ndarray, linear: np.ndarray, rounds: int = 16) -> None:
                     renderer.draw(target, "rgba8unorm", scene)
             for k in range(rounds):
                 for light, (renderer, scene) in drawn.items():
-                    other = Overlay(reach=1.0 + k)  # the same picture, begun anew
+                    other = Overlay(reach=1.0 + k)  # the same picture from the start
                     device.wait()
                     begun = time.perf_counter()
                     renderer.draw(target, "rgba8unorm", scene, overlay=other)
@@ -211,9 +212,9 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--rays", type=int, default=256)
     parser.add_argument("--pictures", type=Path)
-    parser.add_argument("--rounds", type=int, default=7, help="of the pictures, the best of which counts")
-    parser.add_argument("--cost", action="store_true", help="only what a picture costs")
-    parser.add_argument("--gpu", action="store_true", help="only what a frame of the GPU renderer costs")
+    parser.add_argument("--rounds", type=int, default=7, help="of the pictures; the best counts")
+    parser.add_argument("--cost", action="store_true", help="only the cost of a picture")
+    parser.add_argument("--gpu", action="store_true", help="only the cost of a frame of the GPU renderer")
     args = parser.parse_args()
     h, linear = ground(args.dem, args.size)
     print(f"{args.size}² samples, {np.ptp(h):.0f} m of relief; {args.rays} rays to each sun")

@@ -1,14 +1,16 @@
-"""Patches that stay on the GPU, on a flight, beside their triangles brought anew in every frame.
+"""Patches that stay on the GPU during a flight, compared with uploading all their triangles in every frame.
 
     python bench/batches.py [--terrain gabilan] [--method bdam] [--frames 30] [--speed 60] [--tolerance 1.0]
 
-The flight is that of ``bench/roam.py`` (300 m above the ground, 60 frames a second, turning), 1280 × 720; both ways
-draw the same selections. *welded*: all patches in one mesh of shared vertices, packed and brought, as any method's
-triangles are (``surface.meshes``); *resident*: only new patches are brought, of ``seamless-patches`` only shapes, and
-the runs that are drawn (``surface.batches``, ``surface.pieces``).
-*kB*: brought in the first frame, and in the others (mean, largest). *tiles*: kB of tiles of heights and slopes, which
-are brought besides: those of the terrain's own patches, and of pieces. *made*: ms of the CPU from the selection to what
-is drawn. *frame*: ms of a whole frame, until it is drawn, and of all threads. Medians but for the first frame.
+The flight is that of ``bench/roam.py`` (300 m above the ground, 60 frames a second, turning) at 1280 × 720. Both ways
+draw the same selections. *welded*: all patches are packed into one mesh with shared vertices and uploaded, like the
+triangles of any method (``surface.meshes``). *resident*: only new patches are uploaded (of ``seamless-patches``, only
+shapes), and the runs to draw (``surface.batches``, ``surface.pieces``).
+
+*kB*: uploaded in the first frame and in the others (mean, largest). *tiles*: kB of tiles of heights and slopes uploaded
+besides: those of the terrain's own patches, and those of pieces. *made*: CPU time from the selection to the buffers to
+draw, ms. *frame*: time of a whole frame until it is drawn, on the clock and of all threads, ms. All figures are
+medians, except those of the first frame.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ SIZE = 1280, 720
 
 
 class Resident:
-    """As they are, with notes of what is brought and how long it takes."""
+    """The usual ground, which also records what is uploaded and how long that takes."""
 
     brought: list[int]
     took: list[float]
@@ -48,7 +50,7 @@ class Resident:
 
 
 class Welded(Resident):
-    """As any method's triangles."""
+    """Drawn like the triangles of any other method."""
 
     def ready(self, selection: Any, again: Any) -> Any:
         began = time.perf_counter()
@@ -70,7 +72,7 @@ def main() -> None:
     given = parser.parse_args()
     terrain = promise.terrain_of(given.terrain, given.data)
     if terrain is None:
-        raise SystemExit(f"{given.terrain} is not there.")
+        raise SystemExit(f"{given.terrain} is missing.")
     device = open_device()
     views = [view.resized(*SIZE) for view in flight(terrain, given.frames, given.speed)]
     target = device.texture(SIZE, "rgba8unorm", "RENDER_ATTACHMENT|COPY_SRC")

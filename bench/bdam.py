@@ -1,31 +1,31 @@
-"""BDAM, measured: its triangles beside other methods', its bytes, how it was halved, its promise.
+"""BDAM measured: its triangles compared with other methods', its size, how triangles are halved, and its promise.
 
     python bench/bdam.py [--data FOLDER] [--part PART] [--count 10] [--terrain NAME] [--method bdam]
 
-*table*: ``bdam`` beside ``triangle-patches`` and ``soar`` on the five terrains of ``bench/promise.py``, at 1 pixel over
-``--count`` random views: triangles and patches (means), the largest error anywhere on the surface in view (the referee,
-in half of the views), processor ms to select (medians of second selections; of ``bdam`` with patches unpacked before),
-processor seconds to make what each needs besides heights, in memory, and its bytes a sample, compressed as a store has
-them.
+*table*: ``bdam``, ``triangle-patches`` and ``soar`` on the five terrains of ``bench/promise.py``, at 1 pixel over
+``--count`` random views: triangles and patches (means); the largest error anywhere on the visible surface (by the
+referee, in half of the views); processor ms to select (medians of second selections; for ``bdam``, patches are unpacked
+before); processor seconds to make in memory what each needs besides heights, and its bytes per sample, compressed as in
+a store.
 
-*halving*: of every level of the hierarchy the triangles by those of the patches below, how many vertices the legs of
-diamonds lock, and the largest error.
+*halving*: for every level of the hierarchy, the ratio of its triangles to those of the patches below, how many vertices
+the legs of diamonds lock, and the largest error.
 
-*marks*: bits that a vertex takes in a store (its mark, and its share of errors and spheres), and how far vertices read
-back are from their samples; beside them the paper's vertices, quantised in the box of their diamond (a byte for a
-column, a byte for a row, 16 bits for a height), compressed (Zstandard, byte planes apart), and what that height is off.
+*marks*: bits per vertex in a store (its mark, and its share of errors and spheres), and the largest distance between
+stored vertices and their samples; for comparison, the vertices as in the paper, quantised in the box of their diamond
+(a byte for the column, a byte for the row, 16 bits for the height) and compressed (Zstandard, byte planes apart), with
+the largest error of their heights.
 
-*cache*: vertices missing from a cache (first in, first out) per triangle, of the TINs of the diamonds that six views at
-2 pixels draw: as triangulated, as drawn (Tipsify), and in meshoptimizer's order.
+*cache*: vertices that miss a cache (first in, first out) per triangle, for the TINs of the diamonds that six views at 2
+pixels draw: as triangulated, as drawn (Tipsify), and in meshoptimizer's order.
 
-*promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), tolerances of 0.5 to 8 pixels: the
-largest error by the tolerance, and every defect of a mesh; of ``--method``.
+*promise*: the referee on random views of more terrains (voids, oblong, 1 m, 90 m), at tolerances of 0.5 to 8 pixels:
+the largest error relative to the tolerance, and every defect of a mesh, for ``--method``.
 
 *geomorph*: ``bdam`` without and with geomorphs at 1 pixel: triangles, patches that are between two TINs, ms of a second
-selection, and how far the surface jumps at most, over random places, while the tolerance grows by steps of a
-thousandth.
+selection, and the largest jump of the surface, over random places, while the tolerance grows in steps of a thousandth.
 
-Views are those of ``bench/promise.py``.
+The views are those of ``bench/promise.py``.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ MORE = {
     "winnipeg 1s": "winnipeg-1s-isce3/winnipeg_dem.tif",
     "everest 90 m": "osgearth-srtm90m-volcano-voids/mt_everest_90m.tif",
 }
-"""Terrains for the promise besides those of ``promise``."""
+"""Terrains for the promise in addition to those of ``promise``."""
 
 
 def bytes_of(terrain: MemoryTerrain, text: str, method: Any) -> float:
-    """Bytes a sample of what a method needs besides heights."""
+    """Bytes per sample of what a method needs besides heights."""
     with tempfile.TemporaryDirectory() as folder:
         legs = method.legs if text.startswith("bdam") else None
         made = build(
@@ -88,7 +88,7 @@ def bytes_of(terrain: MemoryTerrain, text: str, method: Any) -> float:
 
 
 def table(data: Path, count: int, only: str | None) -> None:
-    """The methods beside each other."""
+    """Compare the methods."""
     print(
         f"{'':18} {'triangles':>10} {'patches':>8} {'largest px':>10} {'ms':>6} {'build s':>8} {'bytes a sample':>15}"
     )
@@ -130,7 +130,7 @@ def promise_grid(terrain: MemoryTerrain) -> Any:
 
 
 def halving(data: Path, only: str | None) -> None:
-    """Level by level."""
+    """Print a row for each level."""
     for name in promise.TERRAINS:
         if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:
             continue
@@ -161,7 +161,7 @@ def diamonds_of(terrain: Any, tins: Any) -> Iterator[tuple[int, int]]:
 
 
 def quantised(vertices: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:
-    """A diamond's vertices in their box: bytes (4, v), and how far a height is off at most, metres."""
+    """A diamond's vertices quantised in their box: bytes (4, v), and the largest error of a height, metres."""
     low, extent = vertices.min(0), np.ptp(vertices, 0)
     places = (vertices[:, :2] - low[:2]) / 2.0 ** max(0.0, np.ceil(np.log2((extent[:2].max() + 1) / 256)))
     step = max(extent[2], 1e-9) / 65535
@@ -171,7 +171,7 @@ def quantised(vertices: NDArray[np.float64]) -> tuple[NDArray[np.uint8], float]:
 
 
 def stored_marks(data: Path, only: str | None) -> None:
-    """What a stored vertex takes."""
+    """Measure the size of stored vertices."""
     print(
         f"{'':18} {'vertices':>10} {'marks, bits':>11} {'all':>6} {'off, m':>7} {'quantised, bits':>15} {'off, m':>7}"
     )
@@ -205,7 +205,7 @@ def stored_marks(data: Path, only: str | None) -> None:
 
 
 def in_cache(data: Path, only: str | None) -> None:
-    """Orders of triangles."""
+    """Compare orders of triangles."""
     import meshoptimizer
 
     for name in promise.TERRAINS:
@@ -232,7 +232,7 @@ def in_cache(data: Path, only: str | None) -> None:
 
 
 def kept(data: Path, count: int, only: str | None, text: str) -> None:
-    """The referee's verdicts."""
+    """Judge views by the referee."""
     from orograph.dem.mosaic import Mosaic
     from orograph.store import terrain as in_memory
 
@@ -267,7 +267,7 @@ def kept(data: Path, count: int, only: str | None, text: str) -> None:
 
 
 def heights_of(mesh: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Heights of a mesh at places (n, 2), column and row; NaN off it."""
+    """Heights of a mesh at places (n, 2), as column and row; NaN outside the mesh."""
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     found = np.full(len(places), np.nan)
@@ -281,7 +281,7 @@ def heights_of(mesh: Any, places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def growing(data: Path, count: int, only: str | None) -> None:
-    """Geomorphs."""
+    """Measure geomorphs."""
     print(f"{'':20} {'triangles':>10} {'grow':>6} {'ms':>6} {'largest px':>10} {'jump px':>8}")
     for name in promise.TERRAINS:
         if only not in (None, name) or (terrain := promise.terrain_of(name, data)) is None:

@@ -1,10 +1,10 @@
-"""Best views beside brute force: the same cameras and pieces, every one looked at along a ray of its own.
+"""The search for the best views compared with brute force: the same cameras and pieces, one ray for every pair.
 
     python bench/best_view.py [DEM.tif] [--side SAMPLES] [--pieces N]
 
-Brute force casts a ray from every piece to every camera (``raycast.Caster``, the caster of pictures, on the exact
-surface) and multiplies by the quality that the search knows by itself. One thread each; compiled before they are timed.
-Without a DEM: a fractal terrain.
+Brute force casts a ray from every piece to every camera (``raycast.Caster``, which also draws pictures, on the exact
+surface) and multiplies by the quality that the search computes without rays. Both use one thread, and are compiled
+before they are timed. Without a DEM, the terrain is a fractal.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PITCHES = (3.0, 6.0, 10.0, 15.0, 20.0, 25.0, 30.0, 35.0, 40.0, 50.0)
 
 
 def brute(search: Search, heights: np.ndarray, target: Target, eyes: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """(m,): the score of each camera."""
+    """The score of each camera, (m,)."""
     caster = Caster.of(heights, jobs=1)
     start = np.column_stack([index, target.points[:, 2] + 1e-3])
     out, q = np.empty(len(eyes)), np.empty(len(target.points))
@@ -43,7 +43,7 @@ def main() -> None:
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--side", type=int, default=1025)
     parser.add_argument("--pieces", type=int, default=1000)
-    parser.add_argument("--part", type=float, default=0.15, help="the target's side, of the terrain's")
+    parser.add_argument("--part", type=float, default=0.15, help="side of the target, as a fraction of the terrain's")
     given = parser.parse_args()
     dem = given.dem or orograph.synth(size=given.side, seed=7)
     terrain = orograph.terrain(dem, progress=False)
@@ -67,8 +67,8 @@ def main() -> None:
 
 
 def measured(terrain: Any, target: Target, called: str, **allowed: Any) -> None:
-    """Search, look from everywhere, tell."""
-    for _ in range(2):  # the first run compiles
+    """Search, cast all rays, and print both times."""
+    for _ in range(2):  # the first run compiles the kernels
         begin = time.perf_counter()
         cams = cameras(terrain, target, (1280, 720), azimuths=144, **allowed)
         search = Search(terrain, target, cams, jobs=1)

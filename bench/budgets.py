@@ -1,12 +1,12 @@
-"""Budgets of time on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
+"""Time budgets on a smooth flight: how well each method keeps them, and how fine its meshes are for the time.
 
     python bench/budgets.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 100] [--ms 5 …] [--method M …]
 
-The flight is that of ``bench/roam.py``. Every method that can aim at a time is asked for a mesh in each of so many
-milliseconds; told are the median and the 95th percentile of a frame (milliseconds of the thread's own processor time;
-one thread), the triangles, and the tolerance that a frame says it kept, pixels: medians. *At best* is the tolerance
-with which the same method, asked for it outright, takes as long in the median of a flight: found by bisection, to 5 %.
-Frames before the tenth are left out: they compile, and learn what a pass takes.
+The flight is that of ``bench/roam.py``. Every method with a time goal is given each ``--ms`` as its budget. The table
+has the median and the 95th percentile of a frame's time (processor time of its one thread, ms), and the medians of the
+triangles and of the tolerance that a frame reports, pixels. *At best* is the tolerance at which the same method, given
+that tolerance as its goal, takes the same median time on a flight; it is found by bisection, to 5 %. The first ten
+frames are left out, because they compile and learn how long a pass takes.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ FIRST = 10
 """Frames that are left out."""
 
 NEAR = 1.05
-"""How near the bisection comes to the tolerance at best, as a factor."""
+"""Precision of the bisection for the tolerance at best, as a factor."""
 
 
 def frames(method: Method, views: Sequence[View], goal: Goal) -> np.ndarray:
-    """(n, 3): milliseconds, triangles and the tolerance said, of the frames that count."""
+    """Milliseconds, triangles and reported tolerance of the frames that count, (n, 3)."""
     rows = []
     for view in views:
         camera = Camera.over(method.terrain.grid, view)
@@ -57,7 +57,7 @@ def make(text: str, t: MemoryTerrain) -> Method:
 
 
 def at_best(text: str, t: MemoryTerrain, views: Sequence[View], ms: float) -> float:
-    """The finest tolerance that takes at most so many milliseconds in the median."""
+    """The finest tolerance whose median time is at most ``ms``."""
     method = make(text, t)
 
     def takes(tolerance: float) -> float:
@@ -82,13 +82,13 @@ def at_best(text: str, t: MemoryTerrain, views: Sequence[View], ms: float) -> fl
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=100)
     parser.add_argument("--speed", type=float, default=100.0)
     parser.add_argument("--ms", type=float, action="append", help="budgets; default: 5, 10, 20 and 50")
-    parser.add_argument("--method", action="append", help="default: all that can aim at a time")
-    parser.add_argument("--no-best", action="store_true", help="leave out what the time allows at best")
+    parser.add_argument("--method", action="append", help="default: all with a time goal")
+    parser.add_argument("--no-best", action="store_true", help="skip *at best*")
     given = parser.parse_args()
     t = load(given.heights, given.cell) if given.heights else synthetic(given.size, cell=given.cell)
     views = flight(t, FIRST + given.frames, given.speed)
@@ -104,8 +104,8 @@ def main() -> None:
                 break
             found = frames(method, views, Goal(seconds=ms / 1e3))
             taken, count = np.median(found[:, :2], axis=0)
-            said = found[~np.isnan(found[:, 2]), 2]  # (clipmaps promise nothing)
-            reached = np.median(said) if len(said) else math.nan
+            reported = found[~np.isnan(found[:, 2]), 2]  # (clipmaps promise nothing)
+            reached = np.median(reported) if len(reported) else math.nan
             best = "" if given.no_best else f"{at_best(text, t, few, ms):8.2f}"
             print(
                 f"{text:28s} {ms:6.0f} {taken:8.2f} {np.quantile(found[:, 0], 0.95):8.2f} {count:10,.0f} "

@@ -1,19 +1,19 @@
-"""Chunks that the GPU decodes: bytes a triangle, triangles a second, and beside heights in the codec *compact*.
+"""Chunks that the GPU decodes: bytes per triangle, triangles per second, and a comparison with *compact* heights.
 
     python bench/chunk_code.py [PATH …] [--synthetic 4097] [--cells 32] [--times 5] [--batch 4] [--tolerance 1]
         [--size 1280x720] [--no-views]
 
-Some evenly spaced chunks of each terrain are encoded: of a raster, or of a synthetic one made on the spot. The table
-gives bytes a triangle, beside those of indexed triangles (12 bytes each and 12 a vertex), and of the same with what the
-words hold besides (skirts, and 4 bytes a vertex for morphs). Then triangles a second of the GPU's decoder by its clock,
-the mean of many runs in one submission, for the chunks of a frame (about 300,000 triangles) and for a batch of
-``--batch`` million (chunks are repeated if there are too few); the same for a whole call, with uploads and Python, also
-per second of processor time, which is what counts on software; for uploading the same vertices and triangles decoded;
-and for decoding on one thread of the CPU. The fastest of ``--times``.
+Some evenly spaced chunks of each terrain are encoded; the terrain is a raster, or a synthetic one made on the spot. The
+table gives bytes per triangle, compared with indexed triangles (12 bytes each, and 12 per vertex), and the same with
+the rest of the words included (skirts, and 4 bytes per vertex for morphs). Then come triangles per second: of the GPU's
+decoder by its own clock, as the mean of many runs in one submission, for the chunks of a frame (about 300,000
+triangles) and for a batch of ``--batch`` million (chunks are repeated if there are too few); of a whole call, with
+uploads and Python, also per second of processor time, which is what matters on a software adapter; of uploading the
+same vertices and triangles decoded; and of decoding on one thread of the CPU. Each is the fastest of ``--times``.
 
-Of rasters, unless ``--no-views``, three stores are built: with compressed chunks, with chunks that are not, and with
-heights in *compact*. Two views of each are read, with nothing in memory but the system's cache of files: MB read, and
-ms until it is read and decoded on the CPU, brought to the GPU (and decoded there) and drawn.
+Unless ``--no-views`` is given, three stores of each raster are built: with compressed chunks, with uncompressed chunks,
+and with *compact* heights. Two views of each are drawn, with only the system's file cache warm: MB read, and ms to read
+and decode on the CPU, to upload (and decode on the GPU), and to draw.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ PATHS = [
     DATA / "nrw-dom1-1m" / "dom1_32_356_5699_1_nw_2020.tif",
 ]
 SOME, TILE, FRAME, SHARE = 400, 256, 3e5, 0.2
-"""Chunks of a level; samples of a tile; triangles of a frame; seconds that the GPU is measured."""
+"""Chunks of a level; samples of a tile; triangles of a frame; seconds of a measurement of the GPU."""
 VERTICES, TRIANGLES, HUNG, RUNS = (HEADER.index(name) for name in ("vertices", "triangles", "hung", "runs"))
 Name = tuple[int, int, int]
 
 
 def some_chunks(chunks: Any, most: int) -> tuple[list[Name], list[Words]]:
-    """Chunks of all levels, evenly spaced, at most so many of each, and their words."""
+    """Evenly spaced chunks of all levels, at most so many of each level, and their words."""
     names: list[Name] = []
     for level in range(chunks.layout.top + 1):
         every = [(level, i, j) for i, j in np.ndindex(chunks.layout.chunks(level))]
@@ -70,7 +70,7 @@ def some_chunks(chunks: Any, most: int) -> tuple[list[Name], list[Words]]:
 
 
 def sizes(layout: Layout, names: list[Name], words: list[Words]) -> None:
-    """Bytes a triangle, levels weighted by how many chunks they have."""
+    """Bytes per triangle, with levels weighted by their number of chunks."""
     rows: dict[int, list[Any]] = {}
     for name, coded in zip(names, words, strict=True):
         mesh = decoded(coded, layout, *name)
@@ -89,7 +89,7 @@ def sizes(layout: Layout, names: list[Name], words: list[Words]) -> None:
 
 
 class Batch:
-    """Chunks to be decoded, repeated until there are so many triangles, and the buffers for them."""
+    """Chunks to decode, repeated up to a number of triangles, and the buffers for them."""
 
     def __init__(self, device: Device, layout: Layout, names: list[Name], words: list[Words], most: float) -> None:
         self.device, self.layout, self.decoder = device, layout, Decoder(device)
@@ -106,7 +106,7 @@ class Batch:
         ]
 
     def call(self) -> None:
-        """Decode all, as a frame has it done."""
+        """Decode all chunks, as a frame does."""
         self.decoder.decode(self.layout, self.names, self.words, self.places, *self.buffers)
         self.device.wait()
 
@@ -132,14 +132,14 @@ class Batch:
         return min(some(repeats) for _ in range(times))
 
     def upload(self, plain: list[Any]) -> None:
-        """Bring what was decoded."""
+        """Upload the decoded chunks."""
         for buffer, data in zip(self.buffers, plain, strict=True):
             write(self.device, buffer, data)
         self.device.wait()
 
 
 def rates(device: Device, layout: Layout, names: list[Name], words: list[Words], options: argparse.Namespace) -> None:
-    """Triangles a second: decoded by the GPU, brought to it as they are, decoded by the CPU."""
+    """Triangles per second: decoded by the GPU, uploaded as they are, and decoded by the CPU."""
     order = np.random.default_rng(1).permutation(len(names)).tolist()
     names, words = [names[k] for k in order], [words[k] for k in order]
     for what, most in (("a frame", FRAME), ("a batch", options.batch * 1e6)):
@@ -166,14 +166,14 @@ def rates(device: Device, layout: Layout, names: list[Name], words: list[Words],
 
 
 def timed(what: Callable[[], Any]) -> tuple[Any, float]:
-    """What a function returns, and the milliseconds that it took."""
+    """A function's result, and its milliseconds."""
     begun = time.perf_counter()
     found = what()
     return found, (time.perf_counter() - begun) * 1e3
 
 
 class Figures(NamedTuple):
-    """What a view took one way: MB read; ms to read and decode, to bring to the GPU, to draw; triangles."""
+    """The costs of a view: MB read; ms to read and decode, to upload, to draw; triangles."""
 
     mb: float
     read: float
@@ -183,14 +183,14 @@ class Figures(NamedTuple):
 
 
 class Ways:
-    """The ways to a picture of one view."""
+    """The ways to draw one view."""
 
     def __init__(self, device: Device, stores: dict[str, Path], options: argparse.Namespace) -> None:
         self.device, self.stores, self.options = device, stores, options
         self.targets = Targets(device, *(int(n) for n in options.size.split("x")))
 
     def patches(self, view: Any) -> Figures:
-        """Patches out of tiles of heights in *compact*."""
+        """Draw patches from tiles of *compact* heights."""
         terrain = orograph.open(self.stores["compact"])
         renderer = Renderer(self.device, terrain)
         scene = Scene.of(terrain, view, tolerance=self.options.tolerance)
@@ -211,7 +211,7 @@ class Ways:
         return Figures(share * samples / 1e6, reading, bringing, *found)
 
     def chunks(self, view: Any, compressed: bool) -> Figures:
-        """Chunks, decoded on the GPU or by threads."""
+        """Draw chunks that the GPU or threads decode."""
         terrain = orograph.open(self.stores["compressed" if compressed else "chunks"])
         method = f"chunked-lod,cells={self.options.cells}" + (",compressed=yes" if compressed else "")
         scene = Scene.of(terrain, view, tolerance=self.options.tolerance, method=method)
@@ -222,7 +222,7 @@ class Ways:
         if compressed:
             selection, reading = timed(lambda: made.select(camera, goal))
             pool = Chunks(self.device, 1 << 28)
-            pool.ready(selection, lambda _: selection)  # compiles
+            pool.ready(selection, lambda _: selection)  # compiles the kernels
             pool = Chunks(self.device, 1 << 28)
             pool._decoder._pipeline = pool._decoder._program.compute()
             self.device.wait()
@@ -241,7 +241,7 @@ class Ways:
         return r, min(r + TILE + 1, rows), c, min(c + TILE + 1, cols)
 
     def _drawn(self, renderer: Renderer, scene: Scene) -> tuple[float, int]:
-        """The fastest draw of the ground alone, and its triangles."""
+        """The fastest drawing of the ground alone, and its triangles."""
         ground = renderer._ground
         write(self.device, renderer._camera, camera_of(scene.view, scene.terrain, 1.0))
         what = ground.choose(scene, None, self.options.tolerance, wait=True)
@@ -259,7 +259,7 @@ class Ways:
 
 
 def views_of(device: Device, stores: dict[str, Path], options: argparse.Namespace) -> None:
-    """Some views, each by each way."""
+    """Draw some views in each way."""
     ways, some = Ways(device, stores, options), orograph.open(stores["chunks"])
     size = ways.targets.width, ways.targets.height
     for name in ("orbit", "low"):
@@ -278,7 +278,7 @@ def views_of(device: Device, stores: dict[str, Path], options: argparse.Namespac
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("paths", nargs="*", type=Path)
-    parser.add_argument("--synthetic", type=int, metavar="SIDE", help="a synthetic terrain of so many samples a side")
+    parser.add_argument("--synthetic", type=int, metavar="SIDE", help="a synthetic terrain of SIDE × SIDE samples")
     parser.add_argument("--cells", type=int, default=32)
     parser.add_argument("--times", type=int, default=5)
     parser.add_argument("--batch", type=float, default=4.0, help="million triangles")
@@ -314,7 +314,7 @@ def measure(device: Device, what: str, chunks: Any, options: argparse.Namespace)
 
 
 def built(dem: Dem, folder: Path, cells: int) -> dict[str, Path]:
-    """A store of each kind."""
+    """Build a store of each kind."""
     stores = {name: folder / name for name in ("compact", "compressed", "chunks")}
     whole = bool((np.nan_to_num(dem.heights) == np.rint(np.nan_to_num(dem.heights))).all())
     error = 0.5 if whole else 0.01

@@ -1,10 +1,10 @@
-"""Clipmaps, measured: the errors that rings as printed reach, what the promise costs, and what a moving eye reads.
+"""Clipmaps measured: the errors of rings as published, what the promise costs, and what a moving eye reads.
 
-Views and terrains are those of ``promise.py``. Of every view the referee judges the mesh of rings as printed and of
-rings with a promise at one of five tolerances in turn; of rings as printed also a picture's depths, pixel by pixel:
-mean, 99.9th percentile and largest error (Losasso & Hoppe 2004 claim less than a pixel for 99.9 % of them, at 640 × 480
-with n = 255). The flight moves an eye at a steady speed over the synthetic terrain and leaps once (the paper's update
-budget of n² samples a frame).
+The views and terrains are those of ``promise.py``. For every view, the referee judges the mesh of rings as published,
+and of rings with a promise at one of five tolerances in turn. For rings as published it also judges the depths of a
+picture, pixel by pixel: mean, 99.9th percentile and largest error (Losasso & Hoppe 2004 claim less than a pixel for
+99.9 % of the pixels, at 640 × 480 with n = 255). The flight moves the eye at a steady speed over the synthetic terrain
+and jumps once (with the paper's update budget of n² samples per frame).
 
 Run: ``python bench/clipmap.py [--views N] [--terrain NAME] [--flight | --gpu] [--data FOLDER]``.
 """
@@ -29,7 +29,7 @@ METHODS = ("clipmap", "clipmap,n=511", "clipmap,rings=promise", "clipmap,rings=p
 
 
 def errors_in_picture(terrain: Terrain, view: View, method: str) -> np.ndarray:
-    """Errors of a picture's pixels, pixels."""
+    """The errors of a picture's pixels, in pixels."""
     from orograph.rendering.cpu.draw import draw as draw_cpu
     from orograph.scene.scene import Scene
 
@@ -39,7 +39,7 @@ def errors_in_picture(terrain: Terrain, view: View, method: str) -> np.ndarray:
 
 
 def measure(name: str, options: argparse.Namespace) -> None:
-    """Judge the views of a terrain, and print a line for each method."""
+    """Judge the views of a terrain, and print a row for each method."""
     terrain = terrain_of(name, options.data)
     if terrain is None:
         print(f"{name}: not at {options.data}")
@@ -70,14 +70,14 @@ def measure(name: str, options: argparse.Namespace) -> None:
 
 
 def fly(options: argparse.Namespace) -> None:
-    """A steady flight and a leap: samples read, levels late, milliseconds."""
+    """A steady flight with a jump: samples read, late levels, milliseconds."""
     terrain = terrain_of("synthetic 4097", options.data)
     assert terrain is not None
     spacing = terrain.grid.spacing[0]
     for update in ("none", "1", "2"):
         method = chosen(f"clipmap,update={update}").make(terrain, Resources())
         for speed in (0.5, 4.0, 32.0):  # samples a frame
-            told = []
+            rows = []
             for frame in range(120):
                 col = 600 + speed * frame + (1500 if frame >= 60 else 0)
                 x, y = (float(v) for v in terrain.grid.xy(min(col, 4000), 2048 + 0.3 * speed * frame))
@@ -85,8 +85,8 @@ def fly(options: argparse.Namespace) -> None:
                 view = View((x, y, z), (x + 3000, y, z - 1500), width=1280, height=720)
                 began = time.perf_counter()
                 stats = method.select(Camera.over(terrain.grid, view), Goal(0.0)).stats
-                told.append((stats["samples_read"], stats["late"], 1e3 * (time.perf_counter() - began)))
-            read, late, ms = np.array(told[1:]).T
+                rows.append((stats["samples_read"], stats["late"], 1e3 * (time.perf_counter() - began)))
+            read, late, ms = np.array(rows[1:]).T
             steady = np.delete(read, 59)
             print(
                 f"update {update:5} {speed:5.1f} samples a frame: {steady.mean():9,.0f} samples read "
@@ -96,9 +96,9 @@ def fly(options: argparse.Namespace) -> None:
 
 
 def fly_on_gpu(terrain: Terrain) -> None:
-    """A flight drawn on the GPU, by the mesh of every frame and by rings in toroidal textures: bytes, milliseconds.
+    """A flight drawn on the GPU, as a mesh per frame and as rings in toroidal textures: bytes, milliseconds.
 
-    A frame is all from the camera to the depth of its pixels; both draw the same frames, in turns.
+    The time of a frame is from the camera to the depths of its pixels. Both ways draw the same frames, in turns.
     """
     from orograph.gpu.device import open_device
     from orograph.lod.selection import TriangleMesh
@@ -116,7 +116,7 @@ def fly_on_gpu(terrain: Terrain) -> None:
     methods = {label: chosen("clipmap").make(terrain, Resources()) for label in ("mesh", "rings")}
     view = View((0, 0, 0), (1, 1, 0), width=1280, height=720)
     for speed in (0.5, 4.0, 32.0):  # samples a frame
-        told: dict[str, list[tuple[float, ...]]] = {"mesh": [], "rings": []}
+        rows: dict[str, list[tuple[float, ...]]] = {"mesh": [], "rings": []}
         for frame in range(22):
             col = 600 + speed * frame
             x, y = (float(v) for v in terrain.grid.xy(col, 2048 + 0.3 * speed * frame))
@@ -139,8 +139,8 @@ def fly_on_gpu(terrain: Terrain) -> None:
                 device.wait()
                 took = time.perf_counter() - began, time.process_time() - worked
                 came = surfaces[HeldRings].sent if label == "rings" else sum(a.nbytes for a in packed(mesh))
-                told[label].append((came, *took))
-        for label, found in told.items():
+                rows[label].append((came, *took))
+        for label, found in rows.items():
             came, took, worked = np.median(np.array(found[2:]), 0)
             print(
                 f"{label:6} {speed:5.1f} samples a frame: {came:12,.0f} bytes, {took * 1e3:6.1f} ms, "
@@ -157,8 +157,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=int, default=10, help="views whose pictures are judged")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--terrain", action="append", choices=list(TERRAINS), help="only these")
-    parser.add_argument("--flight", action="store_true", help="the flight and nothing else")
-    parser.add_argument("--gpu", action="store_true", help="a flight drawn on the GPU and nothing else")
+    parser.add_argument("--flight", action="store_true", help="only the flight")
+    parser.add_argument("--gpu", action="store_true", help="only a flight drawn on the GPU")
     options = parser.parse_args()
     if options.gpu:
         terrain = terrain_of("synthetic 4097", options.data)

@@ -1,11 +1,12 @@
-"""Builds on a Dask cluster of this machine: beside threads, per task, and with workers and clients that are killed.
+"""Builds on a Dask cluster of this machine compared with threads: cost per task, and killed workers and clients.
 
     python bench/cluster.py [--data ../shared/data] [--kills 100] [--quick]
 
-Threads and workers build California (40 tiles of 1201², in degrees) in turn, the cluster's start and compiling left
-out, with as many processors. *Per task* is what a build of small shards takes longer on the cluster, per task; memory
-is that of the process that builds. Then workers are killed at random moments (SIGKILL) until there were so many kills,
-and builds with `--workers 2` with all their processes; every store that results is compared with that of threads.
+Threads and workers build California (40 tiles of 1201², in degrees) in turn, with the same number of processors;
+starting the cluster and compiling are not counted. *Per task* is the extra time per task of a build of small shards on
+the cluster. Memory is that of the process that builds. Then workers are killed at random moments (SIGKILL), ``--kills``
+times in all, and builds with `--workers 2` are killed with all their processes. Every resulting store is compared with
+the one that threads built.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from orograph.store.workforce import workforce
 BIG = {"shard": 1024}
 SMALL = {"shard": 128, "chunk": 64}
 FEW = 9
-"""Tiles, of which shards are small: 820 of them and more."""
+"""Tiles of a build with small shards, at least 820 of them."""
 
 KILLED = {"shard": 256, "chunk": 64}
 OPTIONS: dict[str, Any] = {"jobs": 2, "progress": False}
@@ -43,10 +44,10 @@ OPTIONS: dict[str, Any] = {"jobs": 2, "progress": False}
 
 def digest(folder: Path) -> str:
     """Of all files of a store and their names."""
-    said = hashlib.blake2b()
+    total = hashlib.blake2b()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        said.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
-    return said.hexdigest()
+        total.update(str(path.relative_to(folder)).encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()
 
 
 @contextlib.contextmanager
@@ -57,7 +58,7 @@ def cluster(workers: int) -> Iterator[tuple[Any, Any]]:
 
 
 def built(files: list[str], target: Path, **options: Any) -> float:
-    """Build anew; seconds."""
+    """Build from scratch; seconds."""
     shutil.rmtree(target, ignore_errors=True)
     started = time.perf_counter()
     store.build(files, target, **{**OPTIONS, **options}).close()
@@ -95,7 +96,7 @@ def beside_threads(files: list[str], folder: Path, rounds: int) -> None:
 
 
 def kill_workers(files: list[str], folder: Path, kills: int, seed: int) -> None:
-    """Builds whose workers are killed all the time."""
+    """Builds during which workers keep being killed."""
     rng, done, builds, resumed = random.Random(seed), 0, 0, 0
     wrong = 0
     with cluster(2) as (local, client):
@@ -133,7 +134,7 @@ def kill_workers(files: list[str], folder: Path, kills: int, seed: int) -> None:
 
 
 def kill_clients(files: list[str], folder: Path, kills: int, seed: int) -> None:
-    """Builds that are killed with their scheduler, workers following, and resumed until they end."""
+    """Builds that are killed with their scheduler, after which the workers end too, and resumed until they finish."""
     rng, done, builds, wrong = random.Random(seed), 0, 0, 0
     code = (
         "import sys; from orograph import store\nif __name__ == '__main__':\n"

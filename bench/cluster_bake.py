@@ -1,8 +1,8 @@
-"""What a task of a bake by workers takes: seconds, bytes read and written, and memory, on one shard after the other.
+"""The cost of one task of a distributed bake, shard by shard: seconds, bytes read and written, and memory.
 
     python bench/cluster_bake.py STORE [--azimuths 16]
 
-Tasks are done here, one after the other, by a state as a worker has it; nothing is put into the store.
+The tasks run here, one after the other, with the state that a worker has. Nothing is written into the store.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def main() -> None:
     parser.add_argument("store")
     parser.add_argument("--azimuths", type=int, default=16)
     parser.add_argument("--products", default="sky-view-factor,aperture")
-    parser.add_argument("--tasks", type=int, default=12, help="tasks that are measured")
+    parser.add_argument("--tasks", type=int, default=12, help="tasks to measure")
     args = parser.parse_args()
     options = Options(azimuths=args.azimuths)
     with tempfile.TemporaryDirectory() as folder:
@@ -79,14 +79,14 @@ def main() -> None:
                 done += 1
             if done >= args.tasks:
                 break
-        table = np.array(rows[1:])  # the first one compiles, or reads what is compiled
+        table = np.array(rows[1:])  # the first one compiles the kernels, or loads them
         print(f"{len(table)} tasks, {args.azimuths} azimuths, {args.products}")
         for name, column, unit in zip(
             ("processor", "heights read", "sums and hulls read", "written", "peak of arrays"), table.T,
             (1.0, 1e6, 1e6, 1e6, 1e6),
         ):  # fmt: skip
-            told = "s" if unit == 1.0 else "MB"
-            print(f"{name:22} mean {column.mean() / unit:8.1f} {told}  most {column.max() / unit:8.1f} {told}")
+            shown = "s" if unit == 1.0 else "MB"
+            print(f"{name:22} mean {column.mean() / unit:8.1f} {shown}  most {column.max() / unit:8.1f} {shown}")
 
 
 if __name__ == "__main__":

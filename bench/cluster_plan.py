@@ -1,14 +1,13 @@
-"""What a build of a planet would take on a cluster: a simulation out of unit costs that are measured first.
+"""The expected cost of building a planet on a cluster: a simulation with measured unit costs.
 
     python bench/cluster_plan.py [--data ../shared/data] [--tiles 9]
 
-A build of California is run by one process whose tasks are timed one by one: seconds of processor time, bytes written
-and the time in which the process that builds adds each up; once shard by shard, and once for each size of groups, for
-the larger a group, the less it hands on. The simulation has these tasks for as many samples as the
-planet has, by an event queue: the scheduler gives out a task in 1 ms, a worker (one thread) works on one at a time
-and moves its bytes at 100 MB/s, the process that builds adds up what came, one after another, and stages follow one
-another. Nothing in it was run on such a cluster. Told are the unit costs, the table of docs/clusters.md, and of what
-the work of the process that builds consists.
+One process builds California, and each task is timed by itself: seconds of processor time, bytes written, and the time
+that the building process takes to merge its result. This is done once shard by shard, and once for each size of groups,
+because larger groups hand on less. The simulation is an event queue with these tasks, scaled to the samples of the
+planet. The scheduler takes 1 ms per task, a worker (one thread) runs one task at a time and moves its bytes at 100
+MB/s, the building process merges the results one by one, and stages follow each other. Nothing here has run on such a
+cluster. Printed are the unit costs, the table of docs/clusters.md, and the work of the building process by kind.
 """
 
 from __future__ import annotations
@@ -33,25 +32,28 @@ SHARD = 2048
 SCHEDULER = 1e-3
 BUCKET = 100e6
 PRICE = 0.05
-"""Dollars an hour and worker of one thread."""
+"""Dollars per hour and worker of one thread."""
 
 PLANETS = {
     "ASTER, 22,600 tiles": (22_600 * 3601 * 3601, 750e9),
     "GLO-30, 26,000 tiles": (26_000 * 3600 * 3600, 26_000 * 3600 * 3600 * 2.4),
 }
-"""Samples, and bytes that are read."""
+"""Samples, and bytes to read."""
 
 WORKERS = (1, 4, 16, 64, 128, 256, 512)
 
 GROUPED = ("heights", "errors")
-"""Stages whose tasks are groups of shards, where there are enough for all workers."""
+"""Stages whose tasks are groups of shards, if there are enough groups for all workers."""
 
 
 class Cost(NamedTuple):
-    """Of a stage, per sample of level 0.
+    """The cost of a stage, per sample of level 0.
 
     Attributes:
-        work: seconds of a worker. add: of the process that builds. finish: of it, at the end. written: bytes.
+        work: seconds of a worker.
+        add: seconds of the building process to merge results.
+        finish: seconds of the building process at the end.
+        written: bytes.
     """
 
     work: float
@@ -61,7 +63,7 @@ class Cost(NamedTuple):
 
 
 class Timed:
-    """An executor that runs tasks one by one and notes what they take. Args: levels: of groups; 0: none."""
+    """An executor that runs tasks one by one and records their cost. Args: levels: of groups; 0: none."""
 
     def __init__(self, levels: int) -> None:
         self.costs: dict[str, Cost] = {}
@@ -100,7 +102,7 @@ class Timed:
 
 
 def measured(files: list[str], levels: int) -> tuple[dict[str, Cost], int]:
-    """Unit costs by stage, with groups of so many levels, of two builds the lesser; and samples."""
+    """Unit costs by stage, with groups of so many levels (the lower of two builds), and the number of samples."""
     timed = Timed(levels)
 
     @contextlib.contextmanager
@@ -123,8 +125,7 @@ def measured(files: list[str], levels: int) -> tuple[dict[str, Cost], int]:
 
 
 class Outcome(NamedTuple):
-    """Of a simulation: seconds, the share of them in which each was busy, and the seconds of the process that builds by
-    what it did."""
+    """A simulation's seconds, the busy share of each party, and the building process's seconds by kind of work."""
 
     seconds: float
     busy: dict[str, float]
@@ -132,13 +133,13 @@ class Outcome(NamedTuple):
 
 
 def simulated(costs: list[dict[str, Cost]], samples: int, read: float, workers: int) -> Outcome:
-    """A build with so many workers. Args: costs: by levels of groups."""
+    """Simulate a build with so many workers. Args: costs: by levels of groups."""
     now, busy = 0.0, dict.fromkeys(("workers compute", "workers move bytes", "scheduler", "combining"), 0.0)
     combined: dict[str, float] = {}
     for name in costs[0]:
         levels = len(costs) - 1 if name in GROUPED else 0
         while levels and samples / (SHARD**2 * 4**levels) < EACH * workers:
-            levels -= 1  # smaller groups, as builds choose them
+            levels -= 1  # smaller groups, as builds choose
         cost = costs[levels][name]
         tasks = max(1, round(samples / (SHARD**2 * 4**levels)))
         compute = cost.work * samples / tasks
@@ -166,7 +167,7 @@ def read_by(stage: str, samples: float, read: float) -> float:
 
 
 def tell_costs(costs: list[dict[str, Cost]], samples: int) -> None:
-    """Unit costs by the sample, the task and the megabyte."""
+    """Print the unit costs per sample, task and megabyte."""
     for levels, found in enumerate(costs):
         for name, cost in found.items():
             if levels and name not in GROUPED:
@@ -193,13 +194,13 @@ def tell_costs(costs: list[dict[str, Cost]], samples: int) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--data", type=Path, default=Path("../shared/data"))
-    parser.add_argument("--tiles", type=int, default=9, help="of California that are built to measure")
+    parser.add_argument("--tiles", type=int, default=9, help="tiles of California to build")
     given = parser.parse_args()
     files = sorted(map(str, (given.data / "california-3s-tiles").glob("*.tif")))
     if not files:
         raise SystemExit(f"No tiles in {given.data / 'california-3s-tiles'}.")
     files = files[: given.tiles]
-    measured(files[:2], 1)  # compiles
+    measured(files[:2], 1)  # compiles the kernels
     found = [measured(files, levels) for levels in range(MOST + 1)]
     costs, samples = [each for each, _ in found], found[0][1]
     tell_costs(costs, samples)

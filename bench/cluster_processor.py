@@ -1,10 +1,10 @@
-"""A build by workers beside threads, an idle cluster, and the memory of all processes over thousands of tasks.
+"""A build by workers compared with threads, an idle cluster, and the memory of all processes over thousands of tasks.
 
     python bench/cluster_processor.py [--data ../shared/data] [--tiles 9] [--workers 2] [--tasks 3000]
 
-The same build by threads and by as many workers, whose start and compiling are left out: seconds that all processes
-were at work, which hardly depend on what else the machine does, and on the clock. Before it, builds of small shards,
-one after another; the memory of every process after so many tasks.
+Threads and the same number of workers run the same build; starting and compiling are not counted. The times are
+processor seconds of all processes, which depend little on other load, and wall seconds. Before that come builds of
+small shards, one after another, and the memory of every process after each number of tasks.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def spent(processes: list[psutil.Process]) -> float:
 
 
 def everybody(client: Any) -> list[psutil.Process]:
-    """This process, and the workers'."""
+    """This process and the workers."""
     return [psutil.Process(), *(psutil.Process(pid) for pid in client.run(__import__("os").getpid).values())]
 
 
@@ -48,7 +48,7 @@ def idle(client: Any, seconds: float = 10.0) -> None:
 
 @contextmanager
 def by_stage(processes: list[psutil.Process]) -> Iterator[dict[str, tuple[float, float]]]:
-    """Seconds of processors of each stage of a build: of this process, and of the workers."""
+    """Processor seconds of each stage of a build: of this process, and of the workers."""
     found: dict[str, tuple[float, float]] = {}
     runs = {kind: kind.run for kind in (Threads, clusters.Cluster)}
 
@@ -90,7 +90,7 @@ def beside_threads(files: list[str], folder: Path, client: Any, workers: int) ->
 
 @contextmanager
 def counted() -> Iterator[list[int]]:
-    """How many tasks were done."""
+    """The number of tasks done."""
     done, lock, hear = [0], threading.Lock(), clusters._Round._hear
 
     def heard(self: Any, found: Any) -> None:
@@ -110,8 +110,8 @@ def memory(files: list[str], folder: Path, client: Any, least: int) -> None:
     with counted() as done:
         while done[0] < least:
             store.build(files, folder / "small", overwrite=True, dask=client, progress=False, **SMALL).close()
-            told = ", ".join(f"{process.memory_info().rss / 2**20:.0f}" for process in processes)
-            print(f"after {done[0]} tasks, MiB of this process and the workers: {told}", flush=True)
+            sizes = ", ".join(f"{process.memory_info().rss / 2**20:.0f}" for process in processes)
+            print(f"after {done[0]} tasks, MiB of this process and the workers: {sizes}", flush=True)
 
 
 def main() -> None:

@@ -1,11 +1,11 @@
-"""Bits a sample, and M samples a second, of the codecs that heights in steps can be packed with, on chunks of 256².
+"""Bits per sample and millions of samples per second of the codecs for heights in steps, on chunks of 256².
 
     python bench/codec.py [--data ../shared/data] [--chunks 16] [--rounds 9] [--quick]
 
-*portable*, *compact* and *smallest* are those of stores, with the way from and to float32; *Lorenzo* is W + N - NW with
-zstd at level 1 or 5, whichever is smaller, as a store could have it without a codec of its own; LERC and JPEG XL are
-imagecodecs', where that is installed, of the same numbers. Seconds are of processor time, the best of several rounds,
-in each of which all codecs have their turn, so that a busy machine slows them alike.
+*portable*, *compact* and *smallest* are the codecs of stores, including the conversion from and to float32. *Lorenzo*
+is W + N - NW with zstd at level 1 or 5, whichever is smaller, as a store without its own codec could have it. LERC and
+JPEG XL come from imagecodecs, if that is installed, and get the same numbers. Times are processor time, the best of
+several rounds; all codecs take turns in each round, so that other load slows them alike.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def chunks(path: Path, step: float) -> Iterator[np.ndarray]:
 
 
 def coders(step: float) -> dict[str, Coder]:
-    """(Encode, decode) by name: of heights."""
+    """(Encode, decode) for heights, by name."""
     found: dict[str, Coder] = {}
     for codec in CODECS[:3]:  # (the chunks of *progressive* are those of *smallest*)
         spec = ArraySpec("heights/0/height", (SIDE, SIDE), SIDE, SIDE, packing=Packing(step, codec))
@@ -85,7 +85,7 @@ def coders(step: float) -> dict[str, Coder]:
 
 
 def seconds(work: Callable[[Any], Any], given: Sequence[Any]) -> float:
-    """Of processor time, for all that is given."""
+    """Processor seconds of a call for all items."""
     began = time.process_time()
     for one in given:
         work(one)
@@ -95,7 +95,7 @@ def seconds(work: Callable[[Any], Any], given: Sequence[Any]) -> float:
 def measure(
     parts: Sequence[np.ndarray], coders: dict[str, Coder], rounds: int
 ) -> dict[str, tuple[float, float, float]]:
-    """Bits a sample, and M samples/s of encoding and decoding, by name."""
+    """Bits per sample, and millions of samples per second of encoding and decoding, by name."""
     data = {name: [encode(part) for part in parts] for name, (encode, _) in coders.items()}
     encoding, decoding = dict.fromkeys(coders, 1e9), dict.fromkeys(coders, 1e9)
     for name, (_, decode) in coders.items():
@@ -103,7 +103,7 @@ def measure(
     for number in range(rounds):
         for name, (encode, decode) in coders.items():
             decoding[name] = min(decoding[name], seconds(decode, data[name]))
-            if number % 3 == 0:  # (encoders take their time)
+            if number % 3 == 0:  # (encoders are slow)
                 encoding[name] = min(encoding[name], seconds(encode, parts))
     samples = SIDE * SIDE * len(parts)
     return {
@@ -117,7 +117,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--chunks", type=int, default=16, help="of each terrain, at most")
     parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--quick", action="store_true", help="two chunks of each, one round")
+    parser.add_argument("--quick", action="store_true", help="two chunks of each terrain, one round")
     given = parser.parse_args()
     most, rounds = (2, 1) if given.quick else (given.chunks, given.rounds)
     print("| heights | step, m | codec | bits a sample | encode, M samples/s | decode, M samples/s |")
@@ -126,7 +126,7 @@ def main() -> None:
         if not (given.data / path).exists():
             continue
         for step in steps:
-            # (a step that is not the data's own is one that a store would have)
+            # (where the step is not the data's own, the one that a store would use)
             kept = step if step in (1.0, 0.01) else floored(step)
             parts = list(chunks(given.data / path, kept))[:most]
             for codec, (bits, encoding, decoding) in measure(parts, coders(kept), rounds).items():

@@ -1,10 +1,11 @@
-"""Builds with each codec beside builds by other sources, which may know no codecs: processor seconds and the clock.
+"""Builds with each codec compared with builds by another checkout, which may lack the codecs: processor and wall time.
 
     python bench/codec_builds.py OTHER/src DEM... [--max-error 0.1] [--rounds 4] [--heights]
 
-OTHER is a checkout of another commit (``git worktree add OTHER COMMIT``). Two processes, one for each sources, build in
-turn; a first round, in which kernels compile, does not count. Told are the least and the most seconds, and the medians
-of the ratios to the other build of the same round. ``--heights``: no errors, and the files are not named in the store.
+OTHER is a checkout of another commit (``git worktree add OTHER COMMIT``). Two processes, one per checkout, build in
+turn. The first round compiles kernels and does not count. Printed are the minimum and maximum seconds, and the median
+ratio to the other checkout's build in the same round. With ``--heights``, stores have no errors and do not name their
+files.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ for line in sys.stdin:
 
 
 def builder(sources: Path) -> subprocess.Popen[str]:
-    """A process that builds by these sources."""
+    """A process that builds with these sources."""
     environment = {**os.environ, "PYTHONPATH": str(sources.resolve())}
     command = [sys.executable, "-c", CHILD]
     return subprocess.Popen(command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -1,16 +1,16 @@
-"""What the codecs cost a store: its size, seconds of the build, random tiles a second, and tiles of a slow server.
+"""The codecs in a store: its size, seconds of the build, random tiles per second, and tiles from a slow server.
 
     python bench/codec_stores.py DEM... [--max-error auto] [--delay 0.03] [--rate 4e6]
     python bench/codec_stores.py --pyramid [--data ../shared/data] [--size 2049]
 
-The first builds a store of the files with every codec. *Not cached* keeps nothing that was decoded; *cached* has read
-every tile before. The server answers each request after a delay and at so many bytes a second; a store is opened there
-anew and random tiles are read one by one, with the reader's cache.
+The first command builds a store of the files with every codec. *Not cached* keeps no decoded tiles; *cached* has read
+every tile before. The server answers each request after a delay, at a limited rate; a store is opened there afresh, and
+random tiles are read one by one with the reader's cache.
 
-``--pyramid`` compares rate and distortion of nested stores (*smallest*) and *progressive* ones: ratio to 16 bits for
-each sample of the full resolution, all levels of heights counted, none of the means; rms, largest error and PSNR of
-the full resolution. Losasso and Hoppe 2004 have 114:1 at 1.8 m rms (the United States) and 63:1 at 1.0 m (Puget Sound)
-on *filtered* levels.
+``--pyramid`` compares rate and distortion of nested stores (*smallest*) and *progressive* ones: the ratio to 16 bits
+for each full-resolution sample, counting heights of all levels but no means; and the rms error, largest error and PSNR
+of the full resolution. Losasso and Hoppe 2004 report 114:1 at 1.8 m rms (the United States) and 63:1 at 1.0 m (Puget
+Sound) on *filtered* levels.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ PYRAMIDS = {
 
 
 class Slow(SimpleHTTPRequestHandler):
-    """Answers ranges, late and slowly."""
+    """A server that answers range requests after a delay and slowly."""
 
     protocol_version = "HTTP/1.1"
     delay, rate = 0.03, 4e6
@@ -54,10 +54,10 @@ class Slow(SimpleHTTPRequestHandler):
         if not path.is_file():
             self.send_error(404)
             return
-        data, asked = path.read_bytes(), self.headers.get("Range", "")
+        data, span = path.read_bytes(), self.headers.get("Range", "")
         size = len(data)
-        if asked:
-            first, _, last = asked.removeprefix("bytes=").partition("-")
+        if span:
+            first, _, last = span.removeprefix("bytes=").partition("-")
             start, stop = (int(first), int(last or size - 1) + 1) if first else (size - int(last), size)
             data = data[start:stop]
             self.send_response(206)
@@ -77,7 +77,7 @@ class Slow(SimpleHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, *what: object) -> None:
-        """Nothing."""
+        """Log nothing."""
 
 
 @contextlib.contextmanager
@@ -90,12 +90,12 @@ def served(folder: Path, delay: float, rate: float) -> Iterator[str]:
 
 
 def bytes_of(folder: Path, kind: str) -> int:
-    """Of all shards of heights or means, without coordinates and metadata."""
+    """Bytes of all shards of heights or means, without coordinates and metadata."""
     return sum(p.stat().st_size for p in (folder / kind).glob("*/height/c/*/*"))
 
 
 def tiles(terrain: Any, count: int, seconds: float, cached: bool) -> float:
-    """Random tiles of the full resolution a second, of processor time."""
+    """Random full-resolution tiles per second of processor time."""
     rng = np.random.default_rng(1)
     rows, cols = terrain.grid.shape
     corners = [(int(rng.integers(0, rows - TILE)), int(rng.integers(0, cols - TILE))) for _ in range(count)]
@@ -122,7 +122,7 @@ def stores(given: argparse.Namespace) -> None:
         for codec in CODECS:
             place = Path(folder) / codec
             how: dict[str, Any] = {"codec": codec, "max_error": given.max_error, "errors": (), "keep_source": False}
-            store.build(given.dem, place, progress=False, overwrite=True, **how)  # (compiles)
+            store.build(given.dem, place, progress=False, overwrite=True, **how)  # (compiles the kernels)
             began, busy = time.perf_counter(), processor()
             store.build(given.dem, place, progress=False, overwrite=True, **how)
             took, busy = time.perf_counter() - began, processor() - busy

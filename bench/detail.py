@@ -1,11 +1,11 @@
-"""Detail beyond the data beside the truth: 1 m lidar made coarse, refined again, and compared with what it was.
+"""Detail beyond the data compared with the truth: 1 m lidar is coarsened, refined again, and compared with itself.
 
     python bench/detail.py lidar.tif [--coarser 16] [--picture FILE.png]
 
-The northern half of the lidar is the truth, of which every N-th sample is the data; the southern half is the example.
-Of the truth, the data smoothly interpolated, and both kinds of detail it says: the root mean square of the distance
-from the truth (metres); quantiles of slopes; and the power of what is finer than the data by wavelength (radially
-averaged, with a Hann window), as a multiple of the truth's.
+The northern half of the lidar is the truth, and every N-th sample of it is the data; the southern half is the example.
+For the truth, the data smoothly interpolated, and both kinds of detail, the table gives the rms distance from the truth
+(metres); quantiles of slopes; and the power at wavelengths finer than the data (radially averaged, with a Hann window),
+as a multiple of the truth's.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def main() -> None:
     parser.add_argument("lidar")
     parser.add_argument("--coarser", type=int, default=16)
     parser.add_argument("--picture")
-    said = parser.parse_args()
-    dem, times = orograph.read(said.lidar), said.coarser
+    args = parser.parse_args()
+    dem, times = orograph.read(args.lidar), args.coarser
     doublings, spacing, rows = round(math.log2(times)), max(dem.grid.spacing), dem.grid.rows // 2
     high, wide = (rows - 1) // times * times + 1, (dem.grid.cols - 1) // times * times + 1
     truth = dem.heights[:high, :wide].astype(np.float64)
@@ -66,14 +66,14 @@ def main() -> None:
     edges = [spacing * times * 2 / 2**n for n in range(doublings + 1)]
     own = spectrum(truth, spacing, edges)
     bands = " | ".join(f"{a:g}–{b:g} m" for a, b in pairwise(edges))
-    print(f"{said.lidar}: {high} × {wide} samples {spacing:g} m apart, data every {times}")
+    print(f"{args.lidar}: {high} × {wide} samples {spacing:g} m apart, data every {times}")
     print(f"| | rms from the truth | slope 50 % | 90 % | 99 % | power at {bands} |")
     for name, heights in made.items():
         slope = np.hypot(*np.gradient(heights, spacing))
         quantiles = " | ".join(f"{v:.3f}" for v in np.quantile(slope, [0.5, 0.9, 0.99]))
         power = " | ".join(f"{a / b:.2g}" for a, b in zip(spectrum(heights, spacing, edges), own))
         print(f"| {name} | {np.sqrt(((heights - truth) ** 2).mean()):.3f} m | {quantiles} | {power} |")
-    if said.picture:
+    if args.picture:
         from PIL import Image
 
         shaded = []
@@ -81,7 +81,7 @@ def main() -> None:
             south, east = np.gradient(heights, spacing)
             light = (1.2 + 1.5 * (east + south)) / np.sqrt(1 + 2.25 * (east**2 + south**2)) / math.sqrt(3.44)
             shaded.append(np.pad((255 * np.clip(light, 0, 1)).astype(np.uint8), 3, constant_values=255))
-        Image.fromarray(np.block([shaded[:2], shaded[2:]])).save(said.picture)
+        Image.fromarray(np.block([shaded[:2], shaded[2:]])).save(args.picture)
 
 
 if __name__ == "__main__":

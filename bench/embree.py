@@ -1,11 +1,11 @@
-"""Primary rays of the caster beside Embree's: the same triangles, the same rays, one process.
+"""Primary rays of the caster compared with Embree's: the same triangles and rays, in one process.
 
     python bench/embree.py [--size 2049] [--data ../shared/data] [--repeat 5]
 
-Prints one row per view and number of threads. Times are processor time of the thread that casts (one thread) and wall
-time (two), the best of several. Embree answers whichever of its queries is faster, on single-precision rays that are
-made beforehand, while the caster's time includes making its rays. With two threads Embree's rays are shared out by rows
-to two processes forked after the scene is built, since its binding holds the GIL. Depths are equal within 1e-4.
+Prints one row per view and number of threads. Times are processor time of the casting thread (one thread) and wall time
+(two), the best of several. Embree uses the faster of its two queries, on single-precision rays that are made
+beforehand; the caster's time includes making its rays. With two threads, Embree's rays are split by rows between two
+processes that are forked after the scene is built, because its binding holds the GIL. Depths agree within 1e-4.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def real(data: Path, n: int) -> tuple[NDArray[np.float32], float] | None:
 
 
 def scene(heights: NDArray[np.float32], spacing: float) -> tuple[Any, Any]:
-    """Embree's scene of the same triangles, and the mesh that must live as long."""
+    """Embree's scene of the same triangles, and the mesh, which must live as long."""
     from embreex import mesh_construction, rtcore_scene
 
     rows, cols = heights.shape
@@ -117,7 +117,7 @@ def embree_pair(embree: Any, origins: Any, directions: Any, query: str, repeat: 
     """Wall time of Embree with half of the rays in each of two forked processes that start together."""
     context = multiprocessing.get_context("fork")
     barrier, results = context.Barrier(2), context.Queue()
-    # Every other sixteen rows each, so that sky and ground are shared alike.
+    # They take turns of sixteen rows, so that both get as much sky and ground.
     turn = (np.arange(len(origins)) // (16 * WIDTH)) % 2
 
     def run(part: int) -> None:
@@ -162,7 +162,7 @@ def compare(name: str, heights: NDArray[np.float32], spacing: float, repeat: int
         d0, du, dv = camera(eye, target)
         d = (d0 + px[..., None] * du + py[..., None] * dv).reshape(-1, 3).astype(np.float32)
         o = np.broadcast_to(eye.astype(np.float32), d.shape).copy()
-        # The same rays for both: the eye as Embree's single precision has it.
+        # The same rays for both: the eye is rounded to Embree's single precision.
         ours = tuple(v * scale for v in (o[0].astype(np.float64), d0, du, dv))
         t, _ = casters[1].cast_pinhole(*ours, (HEIGHT, WIDTH))
         distance = embree.run(o, d, query="DISTANCE")
@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument(
         "--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data", help="open data sets"
     )
-    parser.add_argument("--repeat", type=int, default=5, help="the best of so many runs")
+    parser.add_argument("--repeat", type=int, default=5, help="runs; the best counts")
     given = parser.parse_args()
     compare("Fractal", fractal(given.size), 30.0, given.repeat)
     found = real(given.data, given.size) if given.data.is_dir() else None

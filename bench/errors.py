@@ -1,12 +1,12 @@
-"""What errors and spheres of all diamonds cost, per sample: in memory, and out of core through a store.
+"""The cost per sample of the errors and spheres of all diamonds: in memory, and out of core through a store.
 
     python bench/errors.py [DEM...] [--size 4097] [--rounds 3] [--threads 1 2] [--missing 0.03]
 
-Without a DEM a synthetic one of ``--size`` is used: whole, and without a share ``--missing`` of its samples in holes.
-In memory: ``error.diamonds`` over an array. Out of core: the stage of ``orograph build`` that reads heights back from
-the store, surveys them, encodes, compresses and writes. Times are of the processor, per sample, whatever the threads;
-of the rounds the best counts. Also told: bytes per sample of the codes in the store, and how many more triangles the
-codes' rounding up costs, as the number of diamonds whose error exceeds a tolerance.
+Without a DEM, a synthetic one of ``--size`` is used: whole, and with a share ``--missing`` of its samples in holes. In
+memory: ``error.diamonds`` over an array. Out of core: the stage of ``orograph build`` that reads heights back from the
+store, surveys them, encodes, compresses and writes. Times are processor time per sample, whatever the number of
+threads; the best of the rounds counts. The table also has the bytes per sample of the codes in the store, and how many
+more triangles result from rounding the codes up, as the number of diamonds whose error exceeds a tolerance.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from orograph.store.writer import ShardWriter
 
 
 def best(work: Callable[[], object], rounds: int) -> float:
-    """Processor seconds, of all threads, of the cheapest of some rounds, after one that may compile.
+    """Processor seconds of all threads in the best of some rounds, after one that may compile.
 
-    Small rasters: as many rounds as fit into a quarter of a second.
+    Small rasters get as many rounds as fit into a quarter of a second.
     """
     work()
     times: list[float] = []
@@ -47,7 +47,7 @@ def best(work: Callable[[], object], rounds: int) -> float:
 
 
 def with_holes(terrain: store.MemoryTerrain, share: float) -> store.MemoryTerrain:
-    """The terrain without so much of its samples: holes of 3 to 40 samples' radius, anywhere."""
+    """The terrain with so much of it missing: holes with radii of 3 to 40 samples, anywhere."""
     rng, heights = np.random.default_rng(1), terrain.heights.copy()
     rows, cols = heights.shape
     while np.isnan(heights).mean() < share:
@@ -89,7 +89,7 @@ def out_of_core(terrain: store.MemoryTerrain, folder: Path, threads: list[int], 
             def work(kind=kind, jobs=jobs):
                 record = built.record
                 writer = ShardWriter(built.storage)
-                writer.digests = record.digests  # by which the heights are read back
+                writer.digests = record.digests  # through which the heights are read back
                 stage = Errors(built.grid, writer, record.shard, record.chunk, built.tiles(0), (kind,))
                 Threads(jobs, False).run(stage, SILENT)
 
@@ -108,7 +108,7 @@ def source_of(terrain: store.MemoryTerrain) -> store.ArraySource:
 
 
 def tolerances(terrain: store.MemoryTerrain, built: store.StoredTerrain) -> None:
-    """Diamonds above a tolerance, with stored errors and with true ones: what a uniform mesh has of triangles."""
+    """Diamonds above a tolerance, by stored errors and by true ones; they stand for a uniform mesh's triangles."""
     low, high = terrain.height_range
     for share in (2**-5, 2**-8, 2**-11):
         counts = []

@@ -1,11 +1,11 @@
-"""All benchmarks, one after the other, each in a process of its own: their tables, or in a line what one lacks.
+"""Run all benchmarks one after the other, each in its own process. Print their tables, or what one lacks.
 
     python bench/every.py [--quick] [--data ../shared/data] [NAME...]
 
-``--quick`` runs those of the summary in docs/benchmarks.md in a small form: on two cores in less than ten minutes,
-of which half goes to compiling in a fresh clone. It shows the tables and that they can be made; its numbers are those
-of small terrains and few rounds. The others have a small form, too, and run if they are named. A benchmark that exceeds
-its time there is stopped, and that is reported. The exit code is 1 if one failed, not if one lacks something.
+``--quick`` runs the benchmarks of the summary in docs/benchmarks.md in a small form: in less than ten minutes on two
+cores, half of it for compiling in a fresh clone. It shows the tables and that they can be made; the numbers are those
+of small terrains and few rounds. The other benchmarks have a small form too, and run if they are named. One that
+exceeds its time there is stopped and reported. The exit code is 1 if one fails, but not if one lacks something.
 """
 
 from __future__ import annotations
@@ -33,10 +33,13 @@ class Bench:
     """A benchmark.
 
     Attributes:
-        quick: its options in the quick form. summary: whether the summary in docs/benchmarks.md gives its result, or
-        that page first of all. data: whether it takes ``--data``. path: of the open data, its argument.
-        modules, programs: without which it cannot run. gpu: whether it draws on one (a software adapter counts).
-        least: of the open data, without which there is nothing to measure.
+        quick: its options in the quick form.
+        summary: whether the summary in docs/benchmarks.md gives its result.
+        data: whether it takes ``--data``.
+        path: its argument, a path in the open data.
+        modules, programs: what it needs installed.
+        gpu: whether it draws on a GPU (a software adapter counts).
+        least: the part of the open data that it needs at least.
     """
 
     quick: str
@@ -97,7 +100,7 @@ BENCHES = {
 
 
 def lacks(bench: Bench, data: Path) -> str | None:
-    """What a benchmark needs and this machine has not; None: nothing."""
+    """What a benchmark needs and this machine lacks; None if nothing."""
     for name in bench.modules:
         if importlib.util.find_spec(name) is None:
             return f"the Python module {name}"
@@ -120,7 +123,7 @@ def lacks(bench: Bench, data: Path) -> str | None:
 
 
 def run(name: str, bench: Bench, quick: bool, data: Path) -> bool:
-    """Run one; whether it did not fail."""
+    """Run one; return whether it succeeded."""
     command = [sys.executable, str(HERE / f"{name}.py")]
     command += [str(data / bench.path)] if bench.path else []
     command += ["--data", str(data)] if bench.data else []

@@ -1,12 +1,13 @@
-"""Data on the ground: what each style, sign and kind of thing costs beside the bare picture, and the manual's pictures.
+"""Data on the ground: the cost of each style, sign and kind of object over the bare picture, and the manual's pictures.
 
     python bench/geovis.py [--pictures FOLDER] [--quick | --uncertain] [--times N] [--only KIND ...]
 
-The terrain is 2 km orography of the western United Kingdom; its data are ERA5's temperature at noon on the days of
-March 2019 (their mean, and how the days differ) where that file is at hand, else a made field of 13 members. Each time
-is the median of three (``--times``) pictures of 900 × 640 pixels, kernels compiled: seconds on the clock, and seconds
-of processors, which say more on a busy machine; with ``--quick`` that of one of a ninth of the pixels. ``--only T
-figure`` makes the pictures of priorities and of figure 5 alone (rows by the beginnings of their names).
+The terrain is the orography of the western United Kingdom at 2 km. Its data are ERA5's temperature at noon on the days
+of March 2019 (their mean, and their spread between days) if that file is there, and otherwise a synthetic field of 13
+members. Each time is the median of three (``--times``) pictures of 900 × 640 pixels with kernels compiled: wall
+seconds, and processor seconds, which say more on a busy machine. With ``--quick`` it is one picture with a ninth of the
+pixels. ``--only T figure`` makes only the pictures of priorities and of figure 5 (rows by the beginnings of their
+names).
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def shapes() -> dict[str, dict[str, Any]]:
 
 
 def pairs_and_flows() -> dict[str, dict[str, Any]]:
-    """Pictures of two components, or of two things in one colour, by name."""
+    """Pictures of two components, or of two attributes in one colour, by name."""
     winds = SHARED / "fields-and-points" / "eraint_uvz.nc"
     warmth = SHARED / "fields-and-points" / "era5-2mt-2019-03-uk.grib"
     if not (winds.exists() and warmth.exists()):
@@ -106,7 +107,7 @@ def pairs_and_flows() -> dict[str, dict[str, Any]]:
 
 
 def tracks() -> dict[str, dict[str, Any]]:
-    """Pictures of lines that stand, by name: ways down, and a made flight."""
+    """Pictures of standing lines, by name: ways down, and a synthetic flight."""
     from geovis_shapes import collection, feature, runs
 
     path = SHARED / "spdatalarge-zion-nz-ecuador" / "zion_srtm.tif"
@@ -128,7 +129,7 @@ def tracks() -> dict[str, dict[str, Any]]:
 
 
 def uncertain() -> None:
-    """What a draw of an uncertain terrain costs, seconds for a million samples, on all processors."""
+    """Seconds per million samples of one draw of an uncertain terrain, on all processors."""
     land = orograph.terrain(fractal(1025), spacing=30.0)
     low, high = land.height_range
     middle = land.grid.xy(512, 512)
@@ -152,7 +153,7 @@ def uncertain() -> None:
 
 
 def timed(times: int, **options: Any) -> tuple[Picture, float, float]:
-    """A picture, and the medians of the seconds that it takes, on the clock and of processors."""
+    """A picture, and the medians of its wall and processor seconds."""
     if times > 1:
         orograph.render(**options)
     took, worked = [], []
@@ -169,8 +170,8 @@ def main() -> None:
     parser.add_argument("--pictures", type=Path, help="write the manual's pictures there")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--times", type=int, default=3, metavar="N")
-    parser.add_argument("--uncertain", action="store_true", help="only what draws of uncertain terrain cost")
-    parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin so, or figure")
+    parser.add_argument("--uncertain", action="store_true", help="only the cost of drawing uncertain terrain")
+    parser.add_argument("--only", nargs="+", metavar="KIND", help="only rows whose names begin with KIND, or figure")
     given = parser.parse_args()
     if given.uncertain:
         uncertain()
@@ -241,7 +242,7 @@ COLUMNS = {"T": 4, "style": 4, "sign": 4, "standing": 3, "shape": 2, "two": 2, "
 
 
 def save(made: dict[str, Picture], folder: Path) -> None:
-    """The manual's pictures: figure 5 of the paper, and sheets of priorities, styles, signs and things."""
+    """The manual's pictures: figure 5 of the paper, and sheets of priorities, styles, signs and objects."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in (one for one in made if one.startswith("figure")):
         made[name].save(folder / f"{name}.jpg")
@@ -252,7 +253,7 @@ def save(made: dict[str, Picture], folder: Path) -> None:
 
 
 def sheet(made: dict[str, Picture], names: list[str], columns: int, path: Path) -> None:
-    """Pictures side by side, each with its name."""
+    """Put pictures side by side, each with its name."""
     from PIL import Image, ImageDraw, ImageFont
 
     wide, tall, line = SIZE[0] // 2, SIZE[1] // 2, 26

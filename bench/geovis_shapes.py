@@ -1,5 +1,6 @@
-"""Lines and polygons for the pictures and times of ``bench/geovis.py``, made from rasters and points that are at hand:
-land cover as polygons, quakes by hexagon, and the ways that water takes downhill.
+"""Lines and polygons for ``bench/geovis.py``, made from local rasters and points.
+
+They are land cover as polygons, earthquakes by hexagon, and the ways that water takes downhill.
 """
 
 from __future__ import annotations
@@ -21,8 +22,8 @@ COLORS = {"Open water": "#4d7fb5", "Bare rock": "#d9b48f", "Deciduous forest": "
 
 
 def collection(features: list[dict[str, Any]], crs: str | None = None) -> dict[str, Any]:
-    told = {} if crs is None else {"crs": {"type": "name", "properties": {"name": crs}}}
-    return {"type": "FeatureCollection", "features": features, **told}
+    extra = {} if crs is None else {"crs": {"type": "name", "properties": {"name": crs}}}
+    return {"type": "FeatureCollection", "features": features, **extra}
 
 
 def feature(kind: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
@@ -30,7 +31,7 @@ def feature(kind: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
 
 
 def landcover(path: Path) -> dict[str, Any]:
-    """Polygons of land cover, of a raster of its codes, without the smallest."""
+    """Polygons of land cover from a raster of codes, without the smallest."""
     import rasterio
     import rasterio.features
     from scipy.ndimage import median_filter
@@ -46,7 +47,7 @@ def landcover(path: Path) -> dict[str, Any]:
 
 
 def hexagons(path: Path, attribute: str, radius: float = 0.15) -> dict[str, Any]:
-    """Mean and its standard error of points' values in hexagons, about ``radius`` degrees of latitude each."""
+    """Mean and standard error of points' values in hexagons with a radius of about ``radius`` degrees of latitude."""
     points = [
         (*one["geometry"]["coordinates"][:2], one["properties"][attribute])
         for one in json.loads(path.read_text())["features"] if one["properties"].get(attribute) is not None
@@ -71,7 +72,7 @@ def hexagons(path: Path, attribute: str, radius: float = 0.15) -> dict[str, Any]
 
 
 def runs(terrain: Any, count: int = 200, steps: int = 900) -> dict[str, Any]:
-    """Ways down the steepest slope from places spread over a terrain, cut into pieces with the fall of each, m/km."""
+    """Steepest-descent paths from places spread over a terrain, cut into pieces with the slope of each, m/km."""
     from scipy.ndimage import gaussian_filter
 
     raw = np.asarray(terrain.read(0, 0, terrain.grid.rows, 0, terrain.grid.cols), np.float64)

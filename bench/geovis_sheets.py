@@ -1,14 +1,13 @@
-"""Sheets of pictures to look at: the eight priorities, the four classes of data and reference, and the three scenarios,
-on four data sets.
+"""Sheets of pictures: the eight priorities, the four classes of data and reference, and the three scenarios.
 
     python bench/geovis_sheets.py FOLDER [--only SET ...] [--size 900x640]
 
-A picture is written for each, and one sheet for each set. The sets, each where its files are at hand:
+Writes each picture, and one sheet for each set of data. The sets, if their files are there:
 
 - ``britain``: ERA5's temperature at noon on the days of March 2019, their mean and spread, on orography of 2 km.
-- ``california``: quakes of a week, with the root mean square of their residuals, and their means in hexagons.
+- ``california``: earthquakes of a week, with the root mean square of their residuals, and their means in hexagons.
 - ``bathymetry``: a survey of the sea bed, its nominal depth, and its stated uncertainty.
-- ``geoids``: how far two geoids of Switzerland are apart, on one of them; made standard deviations.
+- ``geoids``: the difference of two geoids of Switzerland on one of them, with synthetic standard deviations.
 - ``season``: the 13 members of a seasonal forecast of temperature (GloSea4), coarse, on the orography of ``britain``.
 """
 
@@ -31,7 +30,7 @@ SCENARIOS = "approach", "overflight", "replanning"
 EIGHT = ["".join(letter + mark for letter, mark in zip("TDU", marks)) for marks in product("+-", repeat=3)]
 
 Set = tuple[dict[str, Any], orograph.Dataset, orograph.Dataset]
-"""What is common to the pictures of a set, its data on the surface, and its data that stand on it."""
+"""A set's common options, its data on the surface, and its data standing on it."""
 
 
 def britain() -> Set:
@@ -82,7 +81,7 @@ SETS: dict[str, Callable[[], Set]] = {
 
 
 def pictures(made: Set, size: tuple[int, int]) -> dict[str, Any]:
-    """The pictures of a set, by name: options of each."""
+    """The options of a set's pictures, by name."""
     common, flat, standing = made
     common = {**common, "size": size, "furniture": True, "progress": False}
     found = {name: {**common, "data": flat, "priority": name} for name in EIGHT}
@@ -93,7 +92,7 @@ def pictures(made: Set, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def sheet(made: dict[str, Image.Image], columns: int) -> Image.Image:
-    """Pictures side by side, each with its name, at half their size."""
+    """Put pictures side by side, each with its name, at half their size."""
     one = next(iter(made.values()))
     wide, tall, line = one.width // 2, one.height // 2, 22
     rows = -(-len(made) // columns)

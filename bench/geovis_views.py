@@ -2,7 +2,7 @@
 
     python bench/geovis_views.py FOLDER [focus] [flight] [panels]
 
-Data and terrain are those of ``geovis``: the temperature at noon over the west of Britain.
+The data and the terrain are those of ``geovis``: the temperature at noon over the west of Britain.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def shape(kind: str, coordinates: Any) -> dict[str, Any]:
 
 
 def focus() -> Image.Image:
-    """A region, a corridor, a lens, and what is near."""
+    """A region, a corridor, a lens, and the surroundings of the eye."""
     terrain, data = ground(), members()
     near = 1.05 * orograph.camera.whole(terrain, (750, 525), exaggeration=STRETCH).distance
     chosen = (
@@ -51,7 +51,7 @@ def focus() -> Image.Image:
 
 
 def flight() -> Image.Image:
-    """Frames of a film that climbs, and then stays high above: approach, overflight, re-planning."""
+    """Frames of a film that climbs and then stays high above: approach, overflight, re-planning."""
     terrain = ground()
     size, keys = (480, 320), []
     for second, distance in ((0, 160_000), (10, 200_000), (20, 400_000), (30, 640_000), (90, 640_001)):
@@ -65,7 +65,7 @@ def flight() -> Image.Image:
 
 
 def panels() -> Image.Image:
-    """A map beside the relief; the hours of a day."""
+    """A map beside the relief, and the hours of a day."""
     terrain, data = ground(), members()
     hours = replace(data, uncertainty=None, time="2019-03-01", style="continuous")
     common: dict[str, Any] = {"exaggeration": STRETCH, "furniture": True, "progress": False}
@@ -77,7 +77,7 @@ def panels() -> Image.Image:
 
 
 def sheet(pictures: list[Any], columns: int) -> Image.Image:
-    """Pictures beside and below each other."""
+    """Put pictures beside and below each other."""
     rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
     return Image.fromarray(np.concatenate([np.concatenate(row, 1) for row in rows]))
 

@@ -1,4 +1,4 @@
-"""Pictures of volumes and profiles, for ``geovis``: boreholes (made ones), quakes at their depths, winds aloft."""
+"""Pictures of volumes and profiles, for ``geovis``: synthetic boreholes, earthquakes at their depths, winds aloft."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SIZE = (300, 214) if "--quick" in sys.argv else (900, 640)
 SHARED = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 
 BEDS = (("Soil", 5, 30), ("Navajo sandstone", 150, 420), ("Kayenta", 60, 150), ("Moenave", 40, 90), ("Chinle", 80, 200))
-"""Made beds, from the top, and between which thicknesses (metres) they are."""
+"""Synthetic beds from the top, with the range of their thickness (metres)."""
 
 COLORS = {"Soil": "#8c510a", "Navajo sandstone": "#e69f00", "Kayenta": "#d55e00", "Moenave": "#cc79a7",
           "Chinle": "#0072b2"}  # fmt: skip
@@ -75,7 +75,7 @@ def pictures() -> dict[str, dict[str, Any]]:
 
 
 def hikers(land: Any) -> str:
-    """GPX of three made walks over two days: to the highest of the places around, by and by."""
+    """GPX of three synthetic walks over two days, each from place to place up to the highest one around."""
     heights = land.read(0, 0, land.grid.rows, 0, land.grid.cols)
     rng = np.random.default_rng(8)
     from pyproj import Transformer
@@ -99,7 +99,7 @@ def hikers(land: Any) -> str:
 
 
 def walks(folder: Path) -> dict[str, dict[str, Any]]:
-    """Options of pictures of tracks with times, by name; their GPX is written into a folder."""
+    """Options of pictures of tracks with times, by name. Writes their GPX into a folder."""
     path = SHARED / "spdatalarge-zion-nz-ecuador" / "zion_srtm.tif"
     if not path.exists():
         return {}
@@ -115,7 +115,7 @@ def walks(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def ghosts() -> dict[str, dict[str, Any]]:
-    """Options of pictures of surfaces seen through, by name."""
+    """Options of pictures of transparent surfaces, by name."""
     made: dict[str, dict[str, Any]] = {}
     ground = SHARED / "n44w072-hgt" / "N44W072.hgt"
     if ground.exists():

@@ -1,15 +1,15 @@
-"""Horizon sweeps: samples times azimuths per second on one thread and two, whole maps of light, and peers beside them.
+"""Horizon sweeps: samples × azimuths per second on one thread and two, whole maps of light, and peers.
 
 Run: ``python bench/horizon.py [DEM or STORE] [--size 2048] [--map] [--azimuths 32] [--threads] [--priority]
-[--peer-python PYTHON]``. Without a DEM the terrain is a fractal. ``--map`` makes the sky-view factor of all of it as
-``orograph light`` does, in a process of its own, and tells the time per million samples and the largest memory. Rates
-on one thread are per second of processor time (other work on the machine does not count). What a second thread gains
-(``--threads``: only that) is by the clock, in rounds with two sweeps that share nothing but the machine, and a kernel
-that does nothing but arithmetic: what they gain are the machine's own limits at that moment. ``--priority`` asks the
-system to run this before all else, so that other programs do not decide (Linux, with the right to do so).
+[--peer-python PYTHON]``. Without a DEM, the terrain is a fractal. ``--map`` makes the sky-view factor of the whole
+terrain as ``orograph light`` does, in a separate process, and prints the time per million samples and the peak memory.
+Rates on one thread are per second of processor time, so other load does not count. The gain of a second thread
+(``--threads``: only that) is wall time. Each round also times two sweeps that share nothing but the machine, and a
+kernel that does only arithmetic: their gains are the machine's own limits at that moment. ``--priority`` asks the
+system to run this process before all others, so that they do not affect the result (Linux, needs the privilege).
 
-Peers (``horizon_peers.py``) run under ``--peer-python``, an interpreter of an environment that has them: topocalc
-(Dozier 2022, horizons of the whole raster) and rvt-py (Zakšek et al. 2011, a search within 100 pixels).
+Peers (``horizon_peers.py``) run under ``--peer-python``, the interpreter of an environment that has them: topocalc
+(Dozier 2022, horizons over the whole raster) and rvt-py (Zakšek et al. 2011, a search within 100 pixels).
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def spin(count: int) -> float:
 
 
 def at_once(work: Callable[[np.ndarray], object], items: list[np.ndarray]) -> None:
-    """A thread for each item."""
+    """Run a thread for each item."""
     started = [threading.Thread(target=work, args=(item,)) for item in items[1:]]
     for thread in started:
         thread.start()
@@ -90,8 +90,11 @@ def at_once(work: Callable[[np.ndarray], object], items: list[np.ndarray]) -> No
 
 
 def threads(heights: np.ndarray, rounds: int = 9) -> None:
-    """By how much two threads are faster than one by the clock: horizons shared between them; two whole sweeps beside
-    each other, which share nothing but the machine; and arithmetic alone."""
+    """How much faster two threads are than one, by wall time.
+
+    Three cases: horizons shared between them; two whole sweeps at once, which share nothing but the machine; and
+    arithmetic alone.
+    """
     other = heights.copy()
 
     def clocked(work: Callable[[], object]) -> float:
@@ -107,7 +110,7 @@ def threads(heights: np.ndarray, rounds: int = 9) -> None:
     for _ in range(rounds):
         time.sleep(0.1)
         alone = clocked(lambda: arithmetic(1)) / clocked(lambda: arithmetic(2))
-        # Less than a second at a time: what runs before all else for longer is stopped for a while.
+        # Less than a second at a time: the system pauses a prioritised process that runs longer.
         one = clocked(lambda: sky_view(heights, LINEAR, 12, jobs=1))
         time.sleep(0.1)
         shared = one / clocked(lambda: sky_view(heights, LINEAR, 12, jobs=2))
@@ -128,15 +131,15 @@ def peers(heights: np.ndarray, python: str) -> None:
         done = subprocess.run(
             [python, script, str(Path(folder) / "heights.npy"), "30", "16", "100"], check=True, capture_output=True
         )
-    told = json.loads(done.stdout)
+    result = json.loads(done.stdout)
     for name, ways in (
         ("topocalc", (("sky-view-slope", None, "unlimited"),)),
         ("rvt-py", (("visible-sky", 3000.0, "within 100 samples too"), ("visible-sky", None, "unlimited"))),
     ):
-        if isinstance(told[name], str):
-            print(f"  {name} is not there: {told[name]}")
+        if isinstance(result[name], str):
+            print(f"  {name} is missing: {result[name]}")
             continue
-        theirs = items / told[name]["seconds"] / 1e6
+        theirs = items / result[name]["seconds"] / 1e6
         for measure, radius, what in ways:
             ours = rate(
                 lambda: sky_view(part, LINEAR, 16, measure=measure, radius=radius, jobs=1),  # type: ignore[arg-type] # noqa: B023
@@ -145,13 +148,13 @@ def peers(heights: np.ndarray, python: str) -> None:
             )
             reach = "unlimited" if name == "topocalc" else "within 100 samples"
             print(
-                f"  1025² × 16: {name} {told[name]['version']} {reach} {theirs:.2f}, orograph {what} {ours:.1f}: "
+                f"  1025² × 16: {name} {result[name]['version']} {reach} {theirs:.2f}, orograph {what} {ours:.1f}: "
                 f"{ours / theirs:.1f} times"
             )
 
 
 def whole_map(path: str, azimuths: int) -> None:
-    """The verb, in a process of its own."""
+    """Run the verb in a separate process."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "sky.tif"
         command = [sys.executable, "-m", "orograph", "--quiet", "light", path, "--product", "sky-view-factor", "--json"]
@@ -160,11 +163,11 @@ def whole_map(path: str, azimuths: int) -> None:
             [*command, "-o", str(out), "--azimuths", str(azimuths)], check=True, capture_output=True, text=True
         )
         seconds = time.perf_counter() - began
-        told = json.loads(done.stdout)
-        million = told["shape"][0] * told["shape"][1] / 1e6
+        result = json.loads(done.stdout)
+        million = result["shape"][0] * result["shape"][1] / 1e6
         print(
             f"  sky-view-factor of {million:.1f} million samples, {azimuths} azimuths, as a COG: {seconds:.1f} s, "
-            f"{seconds / million:.2f} s per million, peak memory {told['peak_memory_bytes'] / 2**20:.0f} MiB"
+            f"{seconds / million:.2f} s per million, peak memory {result['peak_memory_bytes'] / 2**20:.0f} MiB"
         )
 
 
@@ -172,9 +175,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=2048)
-    parser.add_argument("--map", action="store_true", help="make the whole map, too")
+    parser.add_argument("--map", action="store_true", help="also make the whole map")
     parser.add_argument("--azimuths", type=int, default=32)
-    parser.add_argument("--threads", action="store_true", help="only what a second thread gains")
+    parser.add_argument("--threads", action="store_true", help="only the gain of a second thread")
     parser.add_argument("--priority", action="store_true", help="run before all other programs")
     parser.add_argument("--peer-python", metavar="PYTHON", help="an interpreter that has topocalc and rvt-py")
     options = parser.parse_args()

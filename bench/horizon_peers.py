@@ -1,7 +1,7 @@
-"""What peers take for a sky-view factor: topocalc (Dozier 2022) and rvt-py (Zakšek et al. 2011), processor seconds.
+"""The time that peers take for a sky-view factor: topocalc (Dozier 2022) and rvt-py (Zakšek et al. 2011).
 
-Run by ``horizon.py`` under an interpreter that has them: ``PYTHON horizon_peers.py HEIGHTS.npy CELL AZIMUTHS PIXELS``.
-Needs NumPy besides. Prints one line of JSON: the seconds by name, or why there are none.
+``horizon.py`` runs this under an interpreter that has them: ``PYTHON horizon_peers.py HEIGHTS.npy CELL AZIMUTHS
+PIXELS``. It also needs NumPy. Prints one line of JSON: processor seconds by name, or the reason why there are none.
 """
 
 from __future__ import annotations

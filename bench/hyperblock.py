@@ -1,11 +1,11 @@
-"""HyperBlock-QuadTIN beside QuadTIN on a flight: triangles and time up to the strips, by sizes of blocks and levels.
+"""HyperBlock-QuadTIN compared with QuadTIN on a flight: triangles and time up to the strips, by block size and levels.
 
     python bench/hyperblock.py [DEM | --size 1025] [--cell 30] [--frames 60] [--speed 100] [--tolerance 1]
 
-The flight is that of ``bench/roam.py``: 300 m above the ground, 60 frames a second, turning. Times are of a frame from
-the view to its strip, in milliseconds of the processor, without the first ten frames, which compile:
-median and 95th percentile. *Made* is the share of blocks triangulated in a frame, *ready* the size of what is
-triangulated ahead, *build* the seconds to make the method, with the hierarchy that both have.
+The flight is that of ``bench/roam.py``: 300 m above the ground, 60 frames a second, turning. Times are milliseconds of
+processor time per frame, from the view to its strip: median and 95th percentile, without the first ten frames, which
+compile. *Made* is the share of blocks triangulated in a frame, *ready* the size of the blocks triangulated in advance,
+and *build* the seconds to make the method, including the hierarchy that both have.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=1025)
-    parser.add_argument("--cell", type=float, default=30.0, help="metres, of a DEM that is read")
+    parser.add_argument("--cell", type=float, default=30.0, help="metres, of the DEM")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--speed", type=float, default=100.0)
     parser.add_argument("--tolerance", type=float, default=1.0)

@@ -3,11 +3,11 @@
     python bench/imagery.py [TERRAIN] [--side 32768] [--image FILE] [--frames 200] [--size 1280x720] [--gpu-memory 512]
                             [--json]
 
-The image is made (RGB, tiled, deflate, with overviews) where none is given: patches of colour whose detail goes down to
-a pixel, over the terrain's extent; it is kept in the folder of --folder. The camera flies along the terrain's diagonal,
-low, at 60 frames to a screen's width. Printed: MB read of the file (by the kernel's count of what the process read,
-where there is one) and tiles brought to the GPU; milliseconds of frames (median, 95 %, worst) and of Python in them;
-the same flight without layers beside it; the part of frames that wanted more than was there; the atlas.
+Without --image, the image is synthetic (RGB, tiled, deflate, with overviews): patches of colour with detail down to one
+pixel, over the terrain's extent. It is kept in --folder. The camera flies low along the terrain's diagonal and takes 60
+frames for the width of a screen. Printed are the MB read from the file (as the kernel counts the reads of the process,
+where it does) and the tiles uploaded to the GPU; milliseconds per frame (median, 95 %, worst) and of Python in it; the
+same flight without layers; the share of frames that lacked tiles; and the atlas.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def make(path: Path, terrain: Any, side: int) -> None:
 
 
 def bytes_read() -> int:
-    """Bytes that the process has read, 0 where the system does not tell."""
+    """Bytes that the process has read; 0 where the system does not count them."""
     try:
         lines = Path("/proc/self/io").read_text().splitlines()
     except OSError:
@@ -134,7 +134,7 @@ def main() -> None:
     width, height = (int(v) for v in given.size.split("x"))
     target = device.texture((width, height), "rgba8unorm", "RENDER_ATTACHMENT").create_view()
     views = flight(terrain, (width, height), given.frames)
-    told: dict[str, Any] = {
+    report: dict[str, Any] = {
         "adapter": device.adapter.name, "image": image.name, "image_mb": round(image.stat().st_size / 1e6, 1),
         "size": given.size, "frames": given.frames,
     }  # fmt: skip
@@ -142,16 +142,16 @@ def main() -> None:
         renderer = Renderer(device, terrain, gpu_memory=given.gpu_memory << 20)
         try:
             scenes = [Scene.of(terrain, view, layers=layers, sky=True, depths=(1e3, 1e5)) for view in views]
-            told[name] = fly(renderer, target, scenes)
+            report[name] = fly(renderer, target, scenes)
             if layers and renderer.imagery._atlas is not None:
                 atlas = renderer.imagery._atlas
-                told["atlas"] = {"mib": round(atlas.bytes / 2**20, 1), "tiles": atlas.capacity, "held": atlas.count}
+                report["atlas"] = {"mib": round(atlas.bytes / 2**20, 1), "tiles": atlas.capacity, "held": atlas.count}
         finally:
             renderer.close()
     if given.json:
-        print(json.dumps(told))
+        print(json.dumps(report))
         return
-    for key, value in told.items():
+    for key, value in report.items():
         print(f"{key:10} {value}")
 
 

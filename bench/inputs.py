@@ -1,9 +1,9 @@
-"""What many inputs cost: a mosaic of so many tiny tiles of one projected CRS, made once, is opened, and built.
+"""The cost of many inputs: a mosaic of many tiny tiles in one projected CRS is opened and built.
 
     python bench/inputs.py FOLDER [COLUMNS ROWS]        makes the tiles (200 × 130 of 32² samples) and times all steps
 
-Told are seconds, the most files that all processes had open at once, and the peak memory of this process and of the
-largest of the others.
+Existing tiles are reused. Printed are seconds, the most files that all processes had open at once, and the peak memory
+of this process and of the largest of the others.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIDE = 32
 
 
 def make(folder: Path, across: int, down: int) -> list[str]:
-    """The tiles' paths; those that are not there are written."""
+    """The tiles' paths; missing tiles are written."""
     import rasterio
     from affine import Affine
 
@@ -49,8 +49,10 @@ def make(folder: Path, across: int, down: int) -> list[str]:
 
 
 class Watch:
-    """The most files that this process and those it started have had open while this ran, and the most memory (MiB)
-    that this one and the largest of the others had."""
+    """Records the most open files and the peak memory while it runs.
+
+    Files are those of this process and its children; memory (MiB) is that of this process, and of the largest child.
+    """
 
     def __enter__(self) -> Watch:
         self.files, self.own, self.others, self._end = 0, 0, 0, threading.Event()
@@ -73,12 +75,12 @@ class Watch:
 
 
 def spent() -> float:
-    """Seconds of processor time of this process and of those it started that have ended."""
+    """Processor seconds of this process and of its children that have ended."""
     return sum(sum(resource.getrusage(who)[:2]) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 
 
 def timed(label: str, work: Callable[[], object]) -> None:
-    """Do it, and tell what it took."""
+    """Run a step and report its cost."""
     began, cpu, own = time.perf_counter(), spent(), time.process_time()
     with Watch() as seen:
         work()
@@ -91,7 +93,7 @@ def timed(label: str, work: Callable[[], object]) -> None:
 
 
 def steps(files: list[str], folder: Path) -> dict[str, Callable[[], object]]:
-    """What is timed, by its name."""
+    """The timed steps, by name."""
     from orograph.dem.mosaic import Mosaic
     from orograph.store.build import build
     from orograph.verbs.manifest import manifest

@@ -1,9 +1,9 @@
-"""Writes ``src/orograph/kernels.txt``: the kernels that each work needs, as small hills call them.
+"""Writes ``src/orograph/kernels.txt``: the kernels that each kind of work needs, recorded from runs on small hills.
 
     python bench/kernels.py [--check] [WORK...]
 
-To be run after a kernel's arguments, or what a verb calls, have changed. ``--check`` only tells what differs. Each work
-is done in a process of its own, so that it is known which kernels it loads.
+Run it after a change to a kernel's arguments or to what a verb calls. ``--check`` only reports differences. Each kind
+of work runs in a process of its own, which shows the kernels that it loads.
 """
 
 from __future__ import annotations
@@ -28,12 +28,14 @@ SIDE = 300
 """Samples along a side of the hill: more than one tile."""
 
 REST = "rest"
-"""What people do less often: its kernels belong to no work."""
+"""Less common work, whose kernels belong to none of the others."""
 
 
 def write_hills(folder: Path) -> None:
-    """Write a hill with a hole and level ground as whole metres in degrees, as fractions of metres in metres, and as
-    a store."""
+    """Write hills in three forms.
+
+    A hill with a hole and level ground: as whole metres in degrees, as fractions of metres in metres, and as a store.
+    """
     x = np.linspace(-2, 2, SIDE)
     heights = 900 * np.exp(-np.add.outer(x * x, x * x)) + 20 * np.sin(9 * np.add.outer(x, -x))
     heights[40:60, 200:240] = heights[50, 220]
@@ -50,7 +52,7 @@ def write_hills(folder: Path) -> None:
 
 
 def works(folder: Path) -> dict[str, Callable[[], Any]]:
-    """What people do in a folder of hills, by the names that ``expect`` is told."""
+    """Typical work in a folder of hills, by the names that ``expect`` knows."""
     degrees, metres, store, size = folder / "degrees.tif", folder / "metres.tif", folder / "hill.oro", (640, 360)
     line = np.array([[310000.0, 3990000.0], [322000.0, 3979000.0]])
     corners = np.vstack([line, [[310500.0, 3979500.0]]])
@@ -124,12 +126,12 @@ def _do(work: str, folder: str) -> list[tuple[Kernel, int]]:
 
 
 def found(wanted: list[str]) -> dict[Kernel, tuple[set[str], int]]:
-    """The kernels of these works: who needs them, and their size."""
+    """The kernels of these kinds of work: who needs them, and their size."""
     table: dict[Kernel, tuple[set[str], int]] = {}
     with tempfile.TemporaryDirectory() as folder:
         write_hills(Path(folder))
         for work in wanted:
-            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:  # which loads what it calls only
+            with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:  # which loads only what it calls
                 for kernel, size in pool.submit(_do, work, folder).result():
                     table.setdefault(kernel, (set(), size))[0].add(work)
     return table
@@ -146,8 +148,8 @@ def main() -> None:
         differ = 0
         for work in set(wanted) - {REST}:
             real = {kernel for kernel, (tags, _) in table.items() if work in tags}
-            told = {kernel for tags, kernel in lines() if work in tags}
-            for sign, kernels in (("+", real - told), ("-", told - real)):
+            listed = {kernel for tags, kernel in lines() if work in tags}
+            for sign, kernels in (("+", real - listed), ("-", listed - real)):
                 for kernel in kernels:
                     print(sign, work, kernel)
                     differ = 1

@@ -1,17 +1,17 @@
-"""How much a refinement reads on a flight, by the order in which vertices lie in memory or on disk.
+"""How much a refinement reads on a flight, by the order of vertices in memory or on disk.
 
     python bench/layouts.py [--size 4097] [--frames 120] [--tolerance 1] [--seed 7]
 
-A flight at 60 frames per second and 240 m/s, 300 m above the ground of a synthetic terrain (``orograph synth``). For
-every frame the vertices are found at which SOAR looks: those of the mesh, and the diamonds of its leaves. The table
-counts the *tiles* of 65,536 entries of 16 bytes (1 MiB, what the field reads) and the *blocks* of 256 entries (4 KiB,
-a page of memory) that they lie in, for three orders of the same entries:
+A flight at 60 frames per second and 240 m/s, 300 m above the ground of a synthetic terrain (``orograph synth``). Every
+frame collects the vertices that SOAR looks at: those of the mesh, and the diamonds of its leaves. The table counts the
+*tiles* of 65,536 entries of 16 bytes (1 MiB, the unit that the field reads) and the *blocks* of 256 entries (4 KiB, a
+page of memory) that hold them, for three orders of the same entries:
 
 * rows: one array, row by row;
 * tiles: tiles of 256 × 256 samples of the full-resolution grid, blocks of 16 × 16 of them;
-* hierarchical: the same by level, every vertex with its like (``orograph.lod.pages``).
+* hierarchical: the same by level, each level's vertices together (``orograph.lod.pages``).
 
-``at once``: the mean over the frames of what a frame touches; ``new``: of what the frame before did not touch.
+``at once``: what a frame touches, the mean over the frames; ``new``: the part that the frame before did not touch.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def looked_at(keys: Index, n: int) -> tuple[Index, Index]:
         these = real & (square == longest)
         found.append((keys[sides[a]][these] + keys[sides[b]][these]) >> 1)
     every = np.unique(np.concatenate(found))
-    every = every[((every >> 32) % (1 << n) != 0) | ((every & 0xFFFFFFFF) % (1 << n) != 0)]  # the corners are none
+    every = every[((every >> 32) % (1 << n) != 0) | ((every & 0xFFFFFFFF) % (1 << n) != 0)]  # corners are not diamonds
     return every >> 32, every & 0xFFFFFFFF
 
 

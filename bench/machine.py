@@ -1,4 +1,4 @@
-"""What benches ask of the machine."""
+"""What benchmarks ask of the operating system."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import os
 
 
 def before_all() -> None:
-    """Threads of this process run as soon as they can, whatever else wants to."""
+    """Give this process priority over all others."""
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
     except (AttributeError, PermissionError):

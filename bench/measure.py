@@ -1,9 +1,9 @@
-"""Measuring: picks, profiles, areas and viewsheds on a terrain in memory and on a store, and what memory they take.
+"""Measuring: picks, profiles, areas and viewsheds on a terrain in memory and on a store, and their peak memory.
 
-Run: ``python bench/measuring.py [DEM or STORE] [--size 4097] [--jobs 2]``. Without one the terrain is a fractal, 30 m
-apart. Viewsheds are told in samples per second (each has its own line of sight), beside the plain loop: the same lines
-walked cell by cell without a pyramid. ``--large`` looks at all of the terrain from a scratch file in a process of its
-own (``--max-memory 256MiB``) and tells its largest memory.
+Run: ``python bench/measure.py [DEM or STORE] [--size 4097] [--radius 30000] [--large]``. Without a path, the terrain is
+a fractal with a spacing of 30 m. Viewsheds are reported in samples per second (each has its own line of sight),
+compared with a plain loop: the same lines walked cell by cell without a pyramid. ``--large`` computes the viewshed of
+the whole terrain with a scratch file in a separate process (with 256 MiB of memory) and prints its peak memory.
 """
 
 from __future__ import annotations
@@ -86,11 +86,11 @@ def sheds(terrain: Terrain, radius: float | None) -> None:
 
 
 def plain(terrain: Terrain, point: Any, eye: float, radius: float | None) -> None:
-    """The same lines without the pyramid, on every 16th row."""
+    """Walk the same lines without the pyramid, on every 16th row."""
     shed = measuring.viewshed(terrain, point, eye, radius=radius, jobs=1)
     s = shed._scene
     rows, cols = shed.grid.shape
-    # A pyramid of one level, all of it above everything, is never passed.
+    # No ray passes above a pyramid of one level that is infinitely high.
     maxima = np.full(1 << 22, np.int32(2**31 - 1))
     offset, per_row = np.array([-1], np.int64), np.array([cols], np.int64)
     pyramid = viewshed_kernels.Pyramid(s.pyramid.z, maxima, offset, per_row)
@@ -111,13 +111,13 @@ LARGE = """
 import json, sys, time
 from orograph import store
 from orograph.cli.memory import peak_memory
-from orograph.geovis import measure
+from orograph import measuring
 terrain = store.open(sys.argv[1], cache_bytes=16 << 20)
 rows, cols = terrain.grid.shape
 began = time.perf_counter()
 shed = measuring.viewshed(terrain, terrain.grid.xy(cols / 2, rows / 2), 100.0, max_memory=256 << 20)
-told = shed.save(sys.argv[2])
-print(json.dumps([time.perf_counter() - began, shed.on_disk, told, peak_memory()]))
+saved = shed.save(sys.argv[2])
+print(json.dumps([time.perf_counter() - began, shed.on_disk, saved, peak_memory()]))
 """
 
 
@@ -125,9 +125,9 @@ def large(path: Path, folder: Path) -> None:
     ran = subprocess.run(
         [sys.executable, "-c", LARGE, str(path), str(folder / "seen.tif")], capture_output=True, text=True, check=True
     )
-    seconds, on_disk, told, peak = json.loads(ran.stdout)
+    seconds, on_disk, saved, peak = json.loads(ran.stdout)
     print(
-        f"  viewshed of all of it, eye 100 m: {seconds:.1f} s for {told['samples']:,} samples, "
+        f"  viewshed of all of it, eye 100 m: {seconds:.1f} s for {saved['samples']:,} samples, "
         f"{'scratch file' if on_disk else 'in memory'}, {peak >> 20} MiB at most (mapped file included)"
     )
 

@@ -1,11 +1,11 @@
-"""The largest memory of every verb that keeps to ``--max-memory``, beside what it was allowed.
+"""The peak memory of every verb with ``--max-memory``, compared with its limit.
 
     python bench/memory.py [--size 8193] [--allowed 512MiB] [--picture 4096x4096] [--cold] [--only VERB]...
 
-A synthetic terrain of so many samples a side is read by each verb in a process of its own; told are its seconds, its
-peak resident set, which counts the interpreter and its libraries, and that of the largest process that it starts to
-compile kernels. ``--cold``: each verb finds none compiled. ``kept``: from a store that is there.
-Where a software driver draws, its memory counts too: there 704 MiB is the least that a picture by tiles is allowed.
+Each verb reads a square synthetic terrain of ``--size`` samples a side in a separate process. Printed are its seconds,
+its peak resident set, which includes the interpreter and its libraries, and that of the largest process it starts to
+compile kernels. With ``--cold``, no kernel is compiled beforehand. *kept* means from an existing store. The memory of a
+software driver counts too; with one, a picture by tiles is allowed at least 704 MiB.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ OROGRAPH = [sys.executable, "-m", "orograph", "--quiet"]
 
 
 def write_image(dem: str, path: str) -> None:
-    """Write an image of three bands that lies on a raster, by strips."""
+    """Write a three-band image that covers a raster, strip by strip."""
     with rasterio.open(dem) as file:
         like = {**file.profile, "count": 3, "dtype": "uint8", "nodata": None, "compress": "deflate"}
         with rasterio.open(path, "w", **like) as image:
@@ -38,7 +38,7 @@ def write_image(dem: str, path: str) -> None:
 
 
 def verbs(dem: str, store: str, work: Path, size: int, picture: str) -> dict[str, list[str]]:
-    """The commands by name, each without its limit."""
+    """The commands by name, without their limits."""
     large = ["render", store, "-o", str(work / "l.png"), "--size", picture]
     with rasterio.open(dem) as file:
         x, y = file.xy(size // 2, size // 2)
@@ -83,11 +83,11 @@ class Peak(NamedTuple):
 
 
 def measured(command: list[str], cache: Path, kernels: Path | None) -> Peak:
-    """Run one process, with its kernels kept in a folder of their own."""
+    """Run one process with its own folder of compiled kernels."""
     began = time.perf_counter()
     own = {"OROGRAPH_CACHE": str(cache)} | ({"NUMBA_CACHE_DIR": str(kernels)} if kernels else {})
-    with tempfile.TemporaryFile() as said:
-        child = subprocess.Popen(command, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=said)
+    with tempfile.TemporaryFile() as errors:
+        child = subprocess.Popen(command, env=os.environ | own, stdout=subprocess.DEVNULL, stderr=errors)
         compilers, ended = 0.0, (0, 0, None)
         while not ended[0]:
             time.sleep(0.1)
@@ -95,24 +95,24 @@ def measured(command: list[str], cache: Path, kernels: Path | None) -> Peak:
             ended = os.wait4(child.pid, os.WNOHANG)
         child.returncode = os.waitstatus_to_exitcode(ended[1])
         if child.returncode:
-            said.seek(0)
-            print(said.read().decode(errors="replace").strip(), file=sys.stderr)
+            errors.seek(0)
+            print(errors.read().decode(errors="replace").strip(), file=sys.stderr)
     assert ended[2] is not None
     return Peak(child.returncode, time.perf_counter() - began, ended[2].ru_maxrss / 1024, compilers)
 
 
 def started_by(parent: int) -> list[int]:
-    """The processes that one has started, as far as they still run."""
+    """The child processes of a process that still run."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended meanwhile
+        with contextlib.suppress(OSError):  # it has just ended
             if int((folder / "stat").read_text().rpartition(")")[2].split()[1]) == parent:
                 found.append(int(folder.name))
     return found
 
 
 def largest(pid: int) -> float:
-    """MiB that a process took at most so far."""
+    """The peak memory of a process so far, MiB."""
     try:
         lines = Path(f"/proc/{pid}/status").read_text().splitlines()
     except OSError:
@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=8193)
     parser.add_argument("--allowed", default="512MiB")
     parser.add_argument("--picture", default="4096x4096")
-    parser.add_argument("--cold", action="store_true", help="each verb compiles its kernels anew")
+    parser.add_argument("--cold", action="store_true", help="each verb compiles all its kernels")
     parser.add_argument("--only", action="append", metavar="VERB")
     given = parser.parse_args()
     allowed = parse_bytes(given.allowed) / 2**20

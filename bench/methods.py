@@ -1,12 +1,11 @@
-"""All methods on the same views: what a store holds for them, what making that takes, triangles and milliseconds.
+"""All methods on the same views: what a store holds for them, the cost of making it, triangles and milliseconds.
 
     python bench/methods.py [DEM … | --size 1025] [--tolerance 1] [--method NAME]…
 
-Bytes are those of a store with what the method needs (``orograph build --for METHOD``) less those of one without any,
-by sample; processor seconds of all threads so likewise, kernels compiled. Triangles, milliseconds of a selection (the
-median) and the largest error in pixels by the referee are means over the three usual views of ``orograph compare``,
-1280 × 720.
-Without a DEM the terrain is synthetic (``orograph synth --seed 7``).
+Bytes per sample are those of a store with what the method needs (``orograph build --for METHOD``) minus those of one
+without; processor seconds, of all threads with kernels compiled, likewise. Triangles, milliseconds of a selection (the
+median) and the largest error in pixels by the referee are means over the three usual views of ``orograph compare``, at
+1280 × 720. Without a DEM, the terrain is synthetic (``orograph synth --seed 7``).
 """
 
 from __future__ import annotations
@@ -23,14 +22,16 @@ from orograph.lod.registry import METHODS
 
 
 def processor() -> float:
-    """The processor seconds of all processes that have ended."""
+    """The processor seconds of all child processes that have ended."""
     spent = resource.getrusage(resource.RUSAGE_CHILDREN)
     return spent.ru_utime + spent.ru_stime
 
 
 def built(dem: str, folder: Path, method: str | None) -> tuple[int, float]:
-    """Bytes of a store of a DEM with what a method needs, and the processor seconds of building it a second time, when
-    its kernels are compiled."""
+    """Bytes and processor seconds of a store of a DEM with what a method needs.
+
+    The seconds are those of a second build, with kernels compiled.
+    """
     command = [sys.executable, "-m", "orograph", "build", dem, "--quiet", "--jobs", "2", "--errors", "none"]
     took = 0.0
     for turn in range(2):

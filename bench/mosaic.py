@@ -1,9 +1,10 @@
-"""Reading and resampling of mosaics, and synthetic terrain: Orograph beside GDAL's warper on the same target grid.
+"""Reading and resampling mosaics, and synthetic terrain: Orograph compared with GDAL's warper on the same target grid.
 
     python bench/mosaic.py [--data ../shared/data] [--tiles 40] [--size 16385]
 
-Times are the best of three in one process, files in the system's cache, kernels compiled. *GDAL* is rasterio: the same
-tiles merged in memory and warped with as many threads; its positions are approximate (0.125 sample), ours within 0.01.
+Times are the best of three in one process, with files in the system's cache and kernels compiled. *GDAL* is rasterio:
+the same tiles merged in memory and warped with the same number of threads. Its positions are approximate (0.125
+samples); ours are within 0.01.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def best(work: Callable[[], object], times: int = 3) -> float:
 
 
 def whole(paths: list[Path], jobs: int, **options: object) -> Mosaic:
-    """Open files and read all blocks."""
+    """Open the files and read all blocks."""
     mosaic = Mosaic.open(paths, **options)  # type: ignore[arg-type]
     rows, cols = mosaic.grid.shape
     windows = [
@@ -46,7 +47,7 @@ def whole(paths: list[Path], jobs: int, **options: object) -> Mosaic:
 
 
 def gdal(paths: list[Path], mosaic: Mosaic, jobs: int) -> None:
-    """The same by GDAL: tiles merged in memory, warped at once."""
+    """The same with GDAL: tiles are merged in memory and warped at once."""
     import rasterio
     from rasterio.merge import merge
     from rasterio.warp import Resampling, reproject
@@ -76,7 +77,7 @@ def row(what: str, seconds: float, samples: float) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--tiles", type=int, default=40, help="how many of California")
+    parser.add_argument("--tiles", type=int, default=40, help="tiles of California")
     parser.add_argument("--size", type=int, default=16385, help="side of the synthetic terrain")
     options = parser.parse_args()
     jobs = cpu_count()

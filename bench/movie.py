@@ -1,10 +1,10 @@
-"""What a frame of a movie costs on the CPU, beside a picture drawn alone, and where the time goes.
+"""The cost of a movie frame on the CPU, compared with a single picture, by stage.
 
     python bench/movie.py [--data ../shared/data] [--frames 12] [--size 1280x720]
 
-An orbit around an SRTM tile (all in view) and a low flight over it, with sun, shadows, sky and antialiasing. "alone":
-every frame by a renderer that has kept nothing, as ``orograph render`` draws it (without its start). "film": by one
-renderer, the first frame left out. The stages are the backend's own (``Picture.facts["seconds"]``), in ms, as medians.
+An orbit around an SRTM tile (all in view) and a low flight over it, with sun, shadows, sky and antialiasing. "alone": a
+new renderer draws every frame, as ``orograph render`` does (without start-up). "film": one renderer draws all frames,
+and the first is left out. The stages are the backend's own (``Picture.facts["seconds"]``), in ms, as medians.
 """
 
 from __future__ import annotations

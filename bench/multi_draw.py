@@ -1,12 +1,12 @@
-"""One draw of runs, an indirect draw for each patch, and a draw call for each: how ``bdam``'s patches may be drawn.
+"""Three ways to draw ``bdam``'s patches: one draw of runs, one indirect draw per patch, and one draw call per patch.
 
     python bench/multi_draw.py [--terrain gabilan] [--frames 20] [--tolerance 1.0] [--size 1280x720]
 
-The patches of the same view, by the same shader, out of the same pool (``surface.batches``). *runs*: as they are drawn,
-an instance for every 64 triangles of a patch. *indirect*: an instance for each patch, all by one multi-draw indirect
-call, which needs an adapter with ``indirect-first-instance``. *calls*: the same by a call for each patch.
-*vertices*: that the shader is run for, in units of the triangles' corners. *Python*: processor ms of this thread until
-a frame is handed over; *all*: of all threads until it is drawn (software draws with the processor). Medians.
+All draw the patches of the same view, with the same shader, from the same pool (``surface.batches``). *runs*: as in
+pictures, one instance for every 64 triangles of a patch. *indirect*: one instance per patch, all in one multi-draw
+indirect call, which needs an adapter with ``indirect-first-instance``. *calls*: the same with one call per patch.
+*vertices*: shader invocations, relative to the corners of the triangles. *Python*: processor ms of this thread until a
+frame is submitted; *all*: of all threads until it is drawn (software adapters draw on the CPU). Medians.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def main() -> None:
     given = parser.parse_args()
     terrain = promise.terrain_of(given.terrain, given.data)
     if terrain is None:
-        raise SystemExit(f"{given.terrain} is not there.")
+        raise SystemExit(f"{given.terrain} is missing.")
     devices.OPTIONAL = (*devices.OPTIONAL, NEEDED)
     device = devices.open_device()
     if NEEDED not in device.features:

@@ -1,11 +1,11 @@
-"""Ambient occlusion: every way of getting L beside 4,096 rays per sample, with time and error.
+"""Ambient occlusion: every way to compute L compared with 4,096 rays per sample, with time and error.
 
-Run: ``python bench/occlusion.py [DEM] [--size 128] [--radius 600] [--only WORDS] [--figures FOLDER]``. Without a DEM
-the terrain is a fractal at 30 m. Errors are over samples more than a few cells from the border of the cut-out. Times
-are processor seconds per million samples on one thread; of the GPU's methods seconds of a clock, or of a software
-adapter processor seconds of all its threads. Of 4,096 rays a second set (another seed) says how far the reference can
-be trusted. Screen-space occlusion is judged where a picture sees the ground (from straight above, a map, and from the
-south), against 4,096 rays from the same points.
+Run: ``python bench/occlusion.py [DEM] [--size 128] [--radius 600] [--only WORDS] [--figures FOLDER]``. Without a DEM,
+the terrain is a fractal with a spacing of 30 m. Errors are over samples more than a few cells from the border of the
+cut-out. Times are processor seconds per million samples on one thread; for methods on the GPU, wall seconds, or with a
+software adapter processor seconds of all its threads. A second set of 4,096 rays (another seed) shows how accurate the
+reference is. Screen-space occlusion is judged where a picture sees the ground (from straight above, as a map, and from
+the south), against 4,096 rays from the same points.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ LINEAR = np.array([[30.0, 0.0], [0.0, -30.0]])
 
 
 def ground(path: str | None, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Heights (size, size) out of the middle of a file, or a fractal; and the cells."""
+    """Heights (size, size) from the middle of a file, or of a fractal; and the cells."""
     if path is None:
         from horizon import fractal
 
@@ -53,7 +53,7 @@ def timed(work: Callable[[], np.ndarray], clock: Callable[[], float] = time.proc
 
 
 def gpu_clock() -> Callable[[], float] | None:
-    """How to time the GPU, or None if there is none."""
+    """The clock for the GPU, or None if there is no GPU."""
     from orograph.gpu.device import NoAdapterError, open_device
 
     try:
@@ -66,7 +66,7 @@ def gpu_clock() -> Callable[[], float] | None:
 
 
 def methods(rho: str, radius: float | None, gpu: bool) -> list[tuple[str, dict[str, object], bool]]:
-    """What is compared: a label, the method's arguments, whether the GPU does it."""
+    """The methods to compare: a label, the arguments, whether it runs on the GPU."""
     rows = [("4,096 other rays", {"method": "rays", "rays": 4096, "seed": 1}, False)]
     rows += [(f"{n:,} rays", {"method": "rays", "rays": n}, False) for n in (16, 64, 256, 1024)]
     name = "sweeps" if radius is None else "walks"
@@ -80,8 +80,11 @@ def methods(rho: str, radius: float | None, gpu: bool) -> list[tuple[str, dict[s
 def seen(
     h: np.ndarray, linear: np.ndarray, size: tuple[int, int] = (640, 400), above: bool = False
 ) -> tuple[np.ndarray, ...]:
-    """A picture of the ground from the south, or from straight above with a pixel on every sample: depth (height,
-    width), points (n, 3), normals, slope of a pixel."""
+    """A picture of the ground from the south, or from straight above with a pixel on every sample.
+
+    Returns:
+        depth (height, width), points (n, 3), normals, slope of a pixel.
+    """
     from orograph.lighting.normal import normals
     from orograph.raycast.caster import Caster
     from orograph.viewpoint import View
@@ -93,7 +96,7 @@ def seen(
     low = float(np.nanmean(h))
     eye, target = (middle[0], middle[1] - 0.75 * across, low + 0.55 * across), (*(middle - [0, 0.02 * across]), low)
     fov, up = 38.0, (0.0, 0.0, 1.0)
-    if above:  # from so far away that it is a map
+    if above:  # so far away that it is a map
         eye, target, up = (*middle, low + 40 * across), (*middle, low), (0.0, 1.0, 0.0)
         fov = 2 * np.degrees(np.arctan(np.linalg.norm(linear @ [0, rows]) / 2 / (40 * across)))
     view = View(eye, target, up, fov_y=float(fov), width=width, height=height)
@@ -124,7 +127,7 @@ def between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def screen(h: np.ndarray, linear: np.ndarray, truth: np.ndarray, radius: float, clock: Callable[[], float]) -> None:
-    """Screen-space occlusion of pictures against the ground's own."""
+    """Compare the screen-space occlusion of pictures with the true occlusion of the ground."""
     from orograph.rendering.gpu.shade.ssao import Quality, screen_occlusion
 
     for where, above in (("from straight above", True), ("from the south", False)):
@@ -173,7 +176,7 @@ def sheet(columns: list[list[tuple[str, np.ndarray]]], gap: int = 8, head: int =
 
 
 def figures(dem: str | None, size: int, radius: float, folder: Path) -> None:
-    """The pictures of the manual: ways and laws, the methods as maps with their errors, screen space from the south."""
+    """The manual's pictures: methods and laws, maps of the methods with their errors, screen space from the south."""
     from orograph.lighting.normal import gradient
     from orograph.lighting.surface import hillshade_of
     from orograph.rendering.gpu.shade.ssao import screen_occlusion
@@ -216,9 +219,7 @@ def main() -> None:
     parser.add_argument("dem", nargs="?")
     parser.add_argument("--size", type=int, default=128)
     parser.add_argument("--radius", type=float, default=600.0)
-    parser.add_argument(
-        "--only", default="", help="words, with commas between, one of which is in the rows that are run"
-    )
+    parser.add_argument("--only", default="", help="comma-separated words; only rows that contain one run")
     parser.add_argument("--figures", type=Path, help="a folder: write the manual's pictures instead")
     args = parser.parse_args()
     if args.figures:

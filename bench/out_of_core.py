@@ -1,11 +1,11 @@
-"""What building a large store for a method takes of memory, and that any number of workers makes the same bytes.
+"""The memory to build a large store for a method, and a check that all numbers of workers write the same bytes.
 
     python bench/out_of_core.py SIZE --for chunked-lod|bdam|seamless-patches|quadtin [--jobs 1,2] [--allowed 512MiB]
 
-A synthetic terrain of SIZE² samples goes into a store straight from its formula (``bench/synthetic.py``); each number
-of workers in a process of its own. Told are seconds, bytes, and peaks of memory: *anonymous*, which the process needs,
-and *resident*, which counts the pages of scratch files, too, that the system may take back. ``--for nothing`` is the
-same build without what a method needs. Last, a digest of all of the store's files.
+A synthetic terrain of SIZE² samples goes into a store straight from its formula (``bench/synthetic.py``), for each
+number of workers in a separate process. Printed are seconds, bytes, and two memory peaks: *anonymous*, which the
+process needs, and *resident*, which also counts pages of scratch files that the system may reclaim. ``--for nothing``
+is the same build without any method's data. Last comes a digest of all the store's files.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ NEEDS: dict[str, dict[str, Any]] = {
 
 def memory() -> tuple[int, int]:
     """Anonymous and resident bytes of this process."""
-    told = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    anonymous, resident = (int(told[name].split()[0]) << 10 for name in ("RssAnon", "VmRSS"))
+    status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    anonymous, resident = (int(status[name].split()[0]) << 10 for name in ("RssAnon", "VmRSS"))
     return anonymous, resident
 
 
 def digest(place: Path) -> str:
-    """Of the names and the contents of all files of a store but its record, which has the time."""
+    """Of the names and contents of all files of a store except its record, which contains the time."""
     found = hashlib.blake2b(digest_size=12)
     for path in sorted(p for p in place.rglob("*") if p.is_file() and p.name != "zarr.json"):
         found.update(str(path.relative_to(place)).encode() + hashlib.blake2b(path.read_bytes()).digest())
@@ -50,7 +50,7 @@ def digest(place: Path) -> str:
 
 
 def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Connection) -> None:
-    """In a process of its own: build, and send (seconds, anonymous, resident, bytes, digest)."""
+    """Runs in a separate process: build and send (seconds, anonymous, resident, bytes, digest)."""
     place = folder / f"{method}-{jobs}.oro"
     peaks, done = [0, 0], threading.Event()
 
@@ -72,7 +72,7 @@ def build(size: int, method: str, jobs: int, allowed: int, folder: Path, out: Co
 
 
 def built(*arguments: Any) -> tuple[float, int, int, int, str]:
-    """``build`` in a fresh process."""
+    """Run ``build`` in a new process."""
     mine, other = multiprocessing.Pipe()
     context = multiprocessing.get_context("spawn")
     process = context.Process(target=build, args=(*arguments, other))
@@ -99,12 +99,12 @@ def main() -> None:
     for method in given.methods:
         for jobs in map(int, given.jobs.split(",")):
             with tempfile.TemporaryDirectory(dir=given.folder) as name:
-                took, anonymous, resident, files, told = built(
+                took, anonymous, resident, files, hashed = built(
                     given.size, method, jobs, parse_bytes(given.allowed), Path(name)
                 )
             print(
                 f"| {method} | {jobs} | {took:.0f} | {anonymous >> 20} | {anonymous / samples:.2f} | {resident >> 20} "
-                f"| {files / samples:.2f} | `{told}` |", flush=True,
+                f"| {files / samples:.2f} | `{hashed}` |", flush=True,
             )  # fmt: skip
 
 

@@ -1,18 +1,18 @@
-"""Pictures by the GPU beside those by the CPU: how much their colours differ, on real data.
+"""Pictures by the GPU compared with those by the CPU: how much their colours differ, on real data.
 
     python bench/pictures.py [DATA] [--size 480x300] [--set NAME …] [--methods] [--tolerance 1]
 
 DATA is the folder of open data sets (default: ``../shared/data`` beside the checkout). Seven of them, which
-``tests/rendering/gpu/test_picture.py`` does not hold, are drawn whole, from above, at a slant, to the horizon, and from
-a few samples away, with the options' defaults (sun, shadows, sky light, water). Told of each picture is the difference
-of colour, ΔE*ab (CIE 1976), over all pixels: mean, 95th percentile and largest; and how many pixels show ground in one
-of both alone.
+``tests/rendering/gpu/test_picture.py`` does not use, are drawn whole, from above, at a slant, to the horizon, and from
+a few samples away, with the default options (sun, shadows, sky light, water). For each picture, the table has the
+difference of colour, ΔE*ab (CIE 1976), over all pixels: mean, 95th percentile and largest; and the number of pixels
+that show ground in only one of the two.
 
-With ``--methods`` each view is drawn by every method within the tolerance. On the GPU in the light of the ground
-(``normals="computed"``): all these, and the CPU's picture of the full resolution, are compared with each other; told
-are the largest mean and the largest 95th percentile of any two, and which two those are. And in the light of its own
-faces, as pictures of meshes are unless told otherwise, by both backends: told are the largest of any method's two. What
-the terrain or a backend refuses is named.
+With ``--methods``, every method draws each view within the tolerance. First on the GPU with normals of the ground
+(``normals="computed"``): these pictures, and the CPU's picture at full resolution, are compared with each other;
+printed are the largest mean and the largest 95th percentile of any pair, with the pair. Then with the normals of each
+mesh's own faces, the default for meshes, on both backends; printed are the largest differences between the backends for
+any method. Anything that the terrain or a backend does not support is named.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ DATA = Path(__file__).parents[2] / "shared" / "data"
 
 
 def views(terrain: Terrain, size: tuple[int, int]) -> Iterator[tuple[str, View]]:
-    """The five views of a terrain, by their names."""
+    """The five views of a terrain, by name."""
     rows, cols = terrain.grid.shape
     extent = max(rows, cols) * terrain.grid.spacing[0]
     eye, middle = (tuple(float(v) for v in terrain.grid.xy(cols / n, rows / n)) for n in (3, 2))
@@ -64,13 +64,13 @@ def views(terrain: Terrain, size: tuple[int, int]) -> Iterator[tuple[str, View]]
 
 
 def linear(pixels: np.ndarray) -> np.ndarray:
-    """Linear sRGB, 0 to 1, of bytes (IEC 61966-2-1)."""
+    """Linear sRGB, 0 to 1, from bytes (IEC 61966-2-1)."""
     c = pixels / 255.0
     return np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
 
 
 def distance(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
-    """ΔE of two pictures: mean, and 95th percentile."""
+    """ΔE of two pictures: mean and 95th percentile."""
     off = np.linalg.norm(one - other, axis=-1)
     return float(off.mean()), float(np.percentile(off, 95))
 
@@ -95,7 +95,7 @@ def drawn(terrain: Terrain, view: View, device: Device, tolerance: float) -> dic
 
 
 def compared(pictures: dict[str, np.ndarray]) -> str:
-    """The largest differences of any two in the light of the ground, and of any method's two in its own."""
+    """The largest differences of any pair with the ground's normals, and between backends with the mesh's own."""
     grounds = [name for name in pictures if name.startswith("ground")]
     own = [(f"gpu {m}", f"cpu {m}") for m in METHODS if {f"gpu {m}", f"cpu {m}"} <= pictures.keys()]
     found = []
@@ -111,7 +111,7 @@ def main() -> None:
     parser.add_argument("data", nargs="?", type=Path, default=DATA)
     parser.add_argument("--size", default="480x300")
     parser.add_argument("--set", action="append", choices=SETS)
-    parser.add_argument("--methods", action="store_true", help="by every method, compared with each other")
+    parser.add_argument("--methods", action="store_true", help="compare all methods with each other")
     parser.add_argument("--tolerance", type=float, default=1.0, help="of methods, pixels")
     given = parser.parse_args()
     size = tuple(int(n) for n in given.size.split("x"))

@@ -1,19 +1,18 @@
-"""The promise, measured: the largest error in pixels of every method, and its triangles beside those of an oracle.
+"""The promise, measured: the largest error in pixels of every method, and its triangles compared with an oracle's.
 
-On each terrain 20 random views (grazing, straight down, close by, wide angle, far away), each at five tolerances. The
-referee (``orograph.verify``) looks at every full-resolution sample in view and for every defect of the mesh. The oracle
-(``orograph.lod.oracle``) is the same refinement with the largest true displacement of any sample in view in place of a
-bound; it leaves out every triangle whose own prism is out of view, which top-down and roam do, too, and the others, who
-cull by spheres, do not quite. Methods that promise nothing are measured for comparison.
+Each terrain has 20 random views (grazing, straight down, close by, wide angle, far away), each at five tolerances. The
+referee (``orograph.verify``) checks every full-resolution sample in view, and looks for every defect of the mesh. The
+oracle (``orograph.lod.oracle``) is the same refinement with the largest true displacement of any sample in view instead
+of a bound. It omits every triangle whose own prism is out of view; top-down and roam do so too, while the others cull
+by spheres and keep a few more. Methods without a promise are measured for comparison.
 
-``--errors`` leaves the oracle out, and tells of each method how its errors compare with the tolerance in the median
-view, in nine of ten, and in the worst, in Markdown: for methods that promise nothing, or in which only some views have
-a bound.
+``--errors`` omits the oracle and prints, in Markdown, how each method's errors compare with the tolerance in the median
+view, in nine of ten, and in the worst. It is for methods without a promise, or with a bound in only some views.
 
-Run: ``python bench/promise.py [--quick] [--errors] [--method NAME[,key=value…]]… [--data FOLDER] [--json OUT.json]``;
-FOLDER holds the open DEMs by the names in
-``TERRAINS`` (default: ../shared/data beside the checkout); those that are absent are left out. Processes share the
-views; each keeps its methods from view to view. Methods that make the same mesh are judged together, once.
+Run: ``python bench/promise.py [--quick] [--errors] [--method NAME[,key=value…]]… [--data FOLDER] [--json OUT.json]``.
+FOLDER holds the open DEMs by the names in ``TERRAINS`` (default: ../shared/data beside the checkout); absent ones are
+skipped. Processes share the views, and each keeps its methods from view to view. Methods that make the same mesh are
+judged together, once.
 """
 
 from __future__ import annotations
@@ -66,7 +65,7 @@ FEW = 200
 
 
 def terrain_of(name: str, data: Path) -> MemoryTerrain | None:
-    """A terrain by its name, in memory; None if it is absent."""
+    """A terrain by its name, in memory; None if its files are absent."""
     from orograph.dem.mosaic import Mosaic
     from orograph.dem.synth import Synth
     from orograph.store import terrain
@@ -168,7 +167,7 @@ class Bench:
 
 
 def digest(mesh: Tessellation) -> bytes:
-    """Equal for meshes of the same triangles (turned the same way, in whatever order)."""
+    """Equal for meshes of the same triangles with the same orientation, in any order."""
     place = np.rint(mesh.vertices[:, 1]).astype(np.int64) << 32 | np.rint(mesh.vertices[:, 0]).astype(np.int64)
     corners = place[mesh.triangles]
     first = corners.argmin(axis=1)
@@ -178,7 +177,7 @@ def digest(mesh: Tessellation) -> bytes:
 
 
 def tables(found: list[dict[str, Any]], labels: Sequence[str]) -> str:
-    """What the records say: one block for each terrain, and one for all."""
+    """The records as tables: one block for each terrain, and one for all."""
     lines = []
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for record in found:
@@ -233,11 +232,11 @@ def errors(found: list[dict[str, Any]], labels: Sequence[str]) -> str:
 
 
 _bench: dict[str, Bench | None] = {}
-"""What this process works on."""
+"""The terrain of this process."""
 
 
 def records_of(task: tuple[str, int], options: argparse.Namespace) -> tuple[list[dict[str, Any]], float]:
-    """(the records of one view of a terrain, none if the terrain cannot be read; seconds of processor time)."""
+    """The records of one view of a terrain (none if the terrain cannot be read), and processor seconds."""
     start = time.process_time()
     name, number = task
     if name not in _bench:

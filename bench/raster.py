@@ -1,12 +1,12 @@
-"""The CPU rasteriser beside the ray caster and Embree: the same surface, the same picture, one process.
+"""The CPU rasteriser compared with the ray caster and Embree: the same surface and picture, in one process.
 
     python bench/raster.py [--size 1581] [--data ../shared/data] [--repeat 5] [--jobs 2]
 
-Prints one row per view of a fractal with about 5 million triangles and of the Big Tujunga (resampled to as many, if the
-data are there). Times are the best of several. *Set-up* projects the mesh and sorts it by tiles, *picture* draws all
-pixel centres; the last columns are 16 positions in each pixel at a break of depth, asked tile by tile. The ray caster
-draws the same pixels from its pyramids. Embree (one thread: its binding holds the GIL) meets the same triangles with
-single-precision rays that are made beforehand, its scene built as well.
+Prints one row per view of a fractal with about 5 million triangles, and of the Big Tujunga (resampled to as many, if
+the data is there). Times are the best of several. *Set-up* projects the mesh and sorts it by tiles; *picture* draws all
+pixel centres; the last columns are 16 positions in each pixel at a depth edge, tile by tile. The ray caster draws the
+same pixels from its pyramids. Embree (one thread: its binding holds the GIL) intersects the same triangles with
+single-precision rays; its rays and its scene are made beforehand.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def best(work: Callable[[], object], repeat: int, jobs: int = 1) -> float:
 
 
 def tujunga(data: Path, size: int) -> tuple[Heights, float] | None:
-    """The Big Tujunga's largest square resampled to ``size`` samples a side, and their spacing in metres."""
+    """The Big Tujunga's largest square, resampled to ``size`` samples a side, and their spacing in metres."""
     path = data / "bigtujunga-srtm30m-utm" / "srtm_bigtujunga30m_utm11.tif"
     if not path.exists():
         return None
@@ -92,7 +92,7 @@ def views(heights: Heights, spacing: float) -> dict[str, View]:
 
 
 def edge_positions(depth: Array, side: int) -> list[tuple[Array, Array]]:
-    """``SAMPLES`` positions in every pixel beside which depth breaks off, by squares of pixels."""
+    """``SAMPLES`` positions in every pixel at a depth edge, by squares of pixels."""
     far = np.nan_to_num(depth, nan=1e9)
     edges = np.zeros(depth.shape, bool)
     for axis in (0, 1):
@@ -158,7 +158,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=int, default=1581, help="samples along a side")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data", help="open data")
-    parser.add_argument("--repeat", type=int, default=5, help="the best of so many runs")
+    parser.add_argument("--repeat", type=int, default=5, help="runs; the best counts")
     parser.add_argument("--jobs", type=int, default=2, help="threads")
     given = parser.parse_args()
     compare("Fractal", fractal(given.size), 30.0, given.repeat, given.jobs)

@@ -1,15 +1,15 @@
-"""Ground by rays beside ground by patches, and by both: what drawing it alone takes a GPU, without light, in turns.
+"""Ground drawn by rays, by patches, and by both: GPU time without light, in turns.
 
     python bench/rays.py [--terrain california|synthetic-16385|PATH…] [--tolerance 2] [--size 1280x720] [--views 3]
         [--times 12] [--folder FOLDER]
 
-Of each flight of ``bench/view.py`` some views, with all that they want there: patches, rays and the hybrid of both are
-drawn in turns, so that other programs hold up all. Told are the fastest and the median of ``--times``, ms, until the
-GPU is done; of patches how many, of rays the windows, their samples, and the levels of the coarsest and the finest; of
-the hybrid the part of the blocks that rays draw, its patches, and its time over that of the better of the two; so,
-too, by the time of the processors, which on software does not depend on how busy the machine is; and what it expects
-of patches and of rays alone, beyond what a picture of nothing takes. At last what it has measured that triangles,
-pixels, rays and their steps take.
+Some views of each flight of ``bench/view.py`` are drawn with all their tiles by patches, rays and the hybrid of both,
+in turns, so that other load affects all alike. Printed are the fastest and the median of ``--times``, ms, until the GPU
+is done; the number of patches; the windows of the rays, their samples, and their coarsest and finest level; for the
+hybrid, the share of the blocks that rays draw, its patches, and its time relative to the better of the two. The same is
+printed in processor time, which does not depend on other load with a software adapter; and the hybrid's estimates for
+patches and for rays alone, beyond an empty picture. Last come the hybrid's measured costs of triangles, pixels, rays
+and ray steps.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from view import FLIGHTS, terrain_of
 
 
 def drawn(device: Device, ground: Any, targets: Targets, chosen: Any) -> tuple[float, float]:
-    """Milliseconds of a draw of the ground alone: by the clock, and of the processors."""
+    """Milliseconds to draw the ground alone: by the clock, and of the processors."""
     begun, worked = time.perf_counter(), time.process_time()
     encoder = device.handle.create_command_encoder()
     ground.draw(encoder, targets, chosen)
@@ -64,18 +64,18 @@ def main() -> None:
             rays = ground.choose(scene, None, options.tolerance, wait=True)
             plain = scene.but(method="auto")
             ground.choose(plain, None, options.tolerance, wait=True)
-            patches = ground.choose(plain, None, options.tolerance, wait=False)  # as a frame has them
+            patches = ground.choose(plain, None, options.tolerance, wait=False)  # as in a frame
             both = scene.but(method="hybrid")
-            for wait in (True, False):  # (the first reads, the second decides by what the device takes)
+            for wait in (True, False):  # (the first reads, the second decides by the device's costs)
                 hybrid = ground.choose(both, None, options.tolerance, wait=wait)
             shares = ground._mixer._last.shares
-            write(device, camera, camera_of(view, terrain, 1.0))  # (measuring has others)
+            write(device, camera, camera_of(view, terrain, 1.0))  # (measuring uses others)
             ways = {"patches": patches, "rays": rays, "hybrid": hybrid}
             took: dict[str, list[tuple[float, float]]] = {method: [] for method in ways}
             for k in range(options.times + 1):
                 for method, chosen in ways.items():
                     ms = drawn(device, ground, targets, chosen)
-                    took[method] += [ms] if k else []  # the first compiles
+                    took[method] += [ms] if k else []  # the first compiles the kernels
             windows, by_rays = rays.rays.windows, hybrid.selection.cast.by_rays
             least = {method: np.min(times, 0) for method, times in took.items()}
             over, worked = least["hybrid"] / np.minimum(least["patches"], least["rays"])

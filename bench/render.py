@@ -1,12 +1,12 @@
-"""Whole commands, from the raw file to the picture: seconds and peak memory, cold store and kept store.
+"""Whole commands, from the raw file to the picture: seconds and peak memory, with a cold store and a kept store.
 
     python bench/render.py [--data ../shared/data] [--runs 3] [--big big.tif] [--size 16385]
 
-Three inputs: a geographic tile of 1201², the 40 tiles of California (13201 × 4801, degrees), a projected float32 raster
-of 16385² (made by ``orograph synth`` if --big is not there). Kernels are compiled before the first timed run. "first":
-the cache of stores is empty; "again": it holds the store the first run made. Where pyvista is installed the tile is
-drawn by it too, after reprojection by GDAL, in the same run. ``--sides STORE`` times rays alone instead: the whole of a
-store's terrain from eight sides, as an orbit sees it, on one thread, per ray and per hit.
+Three inputs: a geographic tile of 1201², the 40 tiles of California (13201 × 4801, degrees), and a projected float32
+raster of 16385² (made by ``orograph synth`` if --big is missing). Kernels are compiled before the first timed run.
+"first": the cache of stores is empty; "again": it holds the store that the first run made. If pyvista is installed, it
+draws the tile too, after reprojection by GDAL, in the same run. ``--sides STORE`` times only rays: a store's whole
+terrain from eight sides, as in an orbit, on one thread, per ray and per hit.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def timed(command: list[str], cache: Path) -> tuple[float, float]:
 
 
 def sides(store: str) -> None:
-    """Nanoseconds of processor time per ray of 1280 × 720 first hits, from all around."""
+    """Nanoseconds of processor time per ray of 1280 × 720 first hits, from all sides."""
     import numpy as np
 
     import orograph
@@ -81,10 +81,8 @@ def main() -> None:
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--big", type=Path, help="a projected raster of --size samples a side")
-    parser.add_argument(
-        "--size", type=int, default=16385, help="samples along a side of the raster that is made for it"
-    )
-    parser.add_argument("--sides", metavar="STORE", help="time rays at a store from all sides, and nothing else")
+    parser.add_argument("--size", type=int, default=16385, help="side of the raster made without --big, samples")
+    parser.add_argument("--sides", metavar="STORE", help="only time rays at a store, from all sides")
     options = parser.parse_args()
     if options.sides:
         sides(options.sides)

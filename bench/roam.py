@@ -1,11 +1,11 @@
-"""ROAM on a smooth flight: what changes per frame, what it costs, and what each of the paper's increments is worth.
+"""ROAM on a smooth flight: changes per frame, their cost, and the gain from each of the paper's increments.
 
     python bench/roam.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 60] [--speed 100] [--queues]
 
-The eye flies 300 m above the ground at ``--speed`` m/s, 60 frames a second, turning by some degrees a second. Times are
-of the method (``Roam.mesh``), in milliseconds of the thread's own processor time, so that other work on the machine
-counts little; the first frames, which compile and build the mesh, are left out. Without a terrain it is the synthetic
-one of ``orograph synth --seed 7``.
+The eye flies 300 m above the ground at ``--speed`` m/s, 60 frames a second, turning by a few degrees a second. Times
+are of the method (``Roam.mesh``), in ms of its thread's processor time, so that other load counts little. The first
+frames, which compile and build the mesh, are left out. Without a terrain, it is the synthetic one of ``orograph synth
+--seed 7``.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from synthetic import synthetic
 RATE = 60.0
 TURN = 2.0
 CHANGES = 60
-"""Triangles that come in a frame of the flights over meshes of different sizes."""
+"""New triangles per frame of the flights over meshes of different sizes."""
 
 
 def load(path: str, cell: float) -> MemoryTerrain:
-    """A terrain in memory, of an array or of a raster; one in degrees as if its cells were squares at the equator."""
+    """A terrain in memory from an array or a raster; cells in degrees become squares, as at the equator."""
     if path.endswith(".npy"):
         z = np.load(path)
     else:
@@ -48,7 +48,7 @@ def load(path: str, cell: float) -> MemoryTerrain:
 
 
 def flight(t: MemoryTerrain, frames: int, speed: float, turn: float = TURN) -> list[View]:
-    """300 m above smoothed ground, beginning in the middle of the southern third, in a wide left turn (°/s)."""
+    """300 m above smoothed ground, from the middle of the southern third, in a wide left turn (°/s)."""
     rows, cols = t.grid.shape
     cell = t.grid.spacing[0]
     x, y = t.grid.xy(cols * 0.5, rows * 0.7)
@@ -67,7 +67,7 @@ def flight(t: MemoryTerrain, frames: int, speed: float, turn: float = TURN) -> l
 
 
 def fly(method: Roam, views: list[View], scratch: bool = False, **goal: Any) -> dict[str, float]:
-    """Means over the frames but the first three; of the times the median."""
+    """Means over all frames but the first three; times are medians."""
     found: dict[str, list[float]] = {}
     for k, view in enumerate(views):
         if scratch:
@@ -94,7 +94,7 @@ def row(name: str, f: dict[str, float], base: float | None = None) -> None:
 
 
 def rate_of_queues() -> None:
-    """Changes of priority and pops: the buckets, and a binary heap in which stale entries stay until they come up."""
+    """Rate of priority changes and pops: the buckets, and a binary heap that drops stale entries when popped."""
     from orograph._numba import kernel
 
     @kernel
@@ -144,11 +144,11 @@ def rate_of_queues() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--speed", type=float, default=100.0)
-    parser.add_argument("--queues", action="store_true", help="measure the queues alone")
+    parser.add_argument("--queues", action="store_true", help="only measure the queues")
     given = parser.parse_args()
     if given.queues:
         rate_of_queues()
@@ -179,7 +179,7 @@ def main() -> None:
     print("ablation, as ratios of the time of a frame")
     row("all of it", base, base["ms"])
     row("no deferral", fly(Roam(t, deferral=False), views, tolerance=1.0), base["ms"])
-    row("strips built anew", fly(Roam(t, strips="rebuilt"), views, tolerance=1.0), base["ms"])
+    row("strips rebuilt", fly(Roam(t, strips="rebuilt"), views, tolerance=1.0), base["ms"])
     row("no strips (a list)", fly(Roam(t, strips=None), views, tolerance=1.0), base["ms"])
     row("no incremental splits and merges", fly(whole, views[:8], scratch=True, tolerance=1.0), base["ms"])
 

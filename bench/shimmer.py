@@ -1,22 +1,23 @@
-"""Shimmer, measured: how much more a slow flight changes from frame to frame than a finely sampled one does.
+"""Shimmer, measured: how much more a slow flight changes from frame to frame than a finely sampled one.
 
     python bench/shimmer.py [--terrain NAME]… [--size 480x270] [--frames 12] [--samples 1]… [--data FOLDER]
         [--method auto]… [--tolerance 1]
 
-A flight of a third of a pixel's worth of parallax a frame over rough ground; every frame is drawn as the window does
-and with 16 samples per pixel, the reference r. What changes from frame to frame and the reference does not show is
-shimmer, and so is, the other way round, what should change and does not. In linear light, rms over frames and pixels:
+The flight has a third of a pixel of parallax per frame over rough ground. Every frame f is drawn as the window does,
+and with 16 samples per pixel as the reference r. Shimmer is any change from frame to frame that the reference does not
+show, or the lack of one that it shows. In linear light, rms over frames and pixels:
 
     S = rms((f[t+1] − f[t]) − (r[t+1] − r[t])) / rms(r[t+1] − r[t]),    C = rms(f[t+1] − f[t]) / rms(r[t+1] − r[t])
 
-C above 1 flickers; S of a picture that changed as r does is 0, of one that did not change at all 1. (16 samples against
-64 have S = 0.45: so much is the reference's own.) Over all pixels, over those within 12 pixels below the horizon, and
-over the ground in front. The reference is always drawn by what is streamed. ``--samples n`` draws n samples per pixel
-instead of what the window does while it moves (0: after a lead-in of 32 frames, as it gathers samples from frame to
-frame); 1, 4 and 8 tell what nothing and supersampling would give. Terrains: bigtujunga (30 m), *noise* (every sample
-3 m up or down: detail of one sample's size), *contours* (bigtujunga with contour lines), *imagery* (Fort Bragg with
-its orthophoto), *raster* (bigtujunga under a coloured raster in degrees, of cells of one sample's size with holes of
-no data).
+C above 1 flickers. S is 0 for a picture that changes like r, and 1 for one that does not change. (16 samples against 64
+have S = 0.45, which is the reference's own share.) Both are given over all pixels, over those within 12 pixels below
+the horizon, and over the ground in front. The reference is always drawn by streamed patches. ``--samples n`` draws n
+samples per pixel instead of what the window does in motion; 1, 4 and 8 show the results of no antialiasing and of
+supersampling. 0 is the window's way: samples are gathered from frame to frame, after a lead-in of 32 frames.
+
+Terrains: bigtujunga (30 m), *noise* (every sample 3 m up or down: detail of one sample's size), *contours* (bigtujunga
+with contour lines), *imagery* (Fort Bragg with its orthophoto), *raster* (bigtujunga under a coloured raster in
+degrees, with cells of one sample's size and holes without data).
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def raster(terrain: Terrain) -> Path:
 
 
 def scene_of(name: str, data: Path) -> Scene | None:
-    """Ground and what lies on it; None if its files are absent."""
+    """A terrain and its layers; None if its files are absent."""
     files = {"noise": [], "imagery": ["fortbragg-1m-dem-ortho"]}.get(name, ["bigtujunga-srtm30m-utm"])
     if not all((data / f).is_dir() for f in files):
         return None
@@ -107,7 +108,7 @@ def scene_of(name: str, data: Path) -> Scene | None:
 
 
 def flight(terrain: Terrain, size: Size, count: int) -> list[View]:
-    """Low over the ground, towards its far end, a little downwards; the horizon in the upper third."""
+    """Low over the ground, towards its far end, a little downwards; the horizon is in the upper third."""
     rows, cols = terrain.grid.shape
     x0, y0 = (float(v) for v in terrain.grid.xy(0.1 * cols, 0.5 * rows))
     x1, y1 = (float(v) for v in terrain.grid.xy(0.9 * cols, 0.45 * rows))
@@ -118,7 +119,7 @@ def flight(terrain: Terrain, size: Size, count: int) -> list[View]:
     aside = np.array([-ahead[1], ahead[0], 0.0])
     eye = np.array([x0, y0, high])
     first = View(tuple(eye), tuple(eye + 0.3 * length * ahead), fov_y=45.0, width=size[0], height=size[1])
-    step = 0.33 * first.pixel_slope * 0.1 * length  # a third of a pixel, a tenth of the way to the end
+    step = 0.33 * first.pixel_slope * 0.1 * length  # a third of a pixel at a tenth of the way to the end
     moves = [k * step * (0.6 * aside + 0.8 * ahead) for k in range(LEAD + count)]
     return [
         replace(first, eye=tuple(eye + move), target=tuple(eye + move + 0.3 * length * ahead)) for move in moves
@@ -135,7 +136,7 @@ class Camera:
         self.target = self.texture.create_view()
 
     def frames(self, views: list[View], samples: int) -> list[Floats]:
-        """Linear light (height, width, 3) of each view, drawn with so many samples per pixel, 0: as the window does."""
+        """Linear light (height, width, 3) of each view, with so many samples per pixel; 0: as the window does."""
         found = []
         for view in views:
             scene = self.scene.but(view=view)
@@ -148,7 +149,7 @@ class Camera:
         return found
 
     def horizon(self) -> NDArray[np.int64]:
-        """By column the first row that shows ground, of the last frame."""
+        """For each column, the first row that shows ground in the last frame."""
         there = np.isfinite(self.renderer.depth())
         return np.where(there.any(0), there.argmax(0), there.shape[0])
 
@@ -168,9 +169,9 @@ def main() -> None:
     parser.add_argument("--terrain", action="append", choices=TERRAINS)
     parser.add_argument("--size", default="480x270")
     parser.add_argument("--frames", type=int, default=12)
-    parser.add_argument("--method", action="append", help="as --method has it; default: auto, what is streamed")
+    parser.add_argument("--method", action="append", help="as for --method; default: auto (streamed patches)")
     parser.add_argument("--tolerance", type=float, default=1.0)
-    parser.add_argument("--samples", type=int, action="append", help="0: as the window draws while it moves (default)")
+    parser.add_argument("--samples", type=int, action="append", help="0: as the window draws in motion (default)")
     options = parser.parse_args()
     width, height = (int(v) for v in options.size.split("x"))
     device = open_device()
@@ -194,8 +195,8 @@ def main() -> None:
             camera.scene = camera.scene.but(method=method)
             frames = camera.frames(views if samples else led, samples)[-len(views) :]
             cells = ["{:.2f}, {:.2f}".format(*shimmer(frames, reference, mask)) for mask in masks]
-            told = name if method == "auto" else f"{name}, {method}"
-            print(f"{told:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
+            label = name if method == "auto" else f"{name}, {method}"
+            print(f"{label:14}{samples or 'window':>9}" + "".join(f"{cell:>18}" for cell in cells), flush=True)
         camera.renderer.close()
 
 

@@ -1,10 +1,10 @@
-"""SMART on a flight: what keeping strips by ranges of errors is worth, and what ranges and blocks cost in triangles.
+"""SMART on a flight: the gain from keeping strips by ranges of errors, and what ranges and blocks cost in triangles.
 
     python bench/smart.py [DEM | --size 4097] [--frames 120] [--speed 100] [--tolerance 1]
 
 The flight is that of ``bench/roam.py``: 300 m above the ground, 60 frames a second, turning. Times are of a frame
-(``mesh``), in milliseconds of the processor, without its first ten frames, which read and compile: median and 95th
-percentile. *Made* is the share of blocks whose strip was not kept. SOAR and the restricted quadtree fly the same way.
+(``mesh``), in ms of processor time, without the first ten frames, which read and compile: median and 95th percentile.
+*Made* is the share of blocks whose strip was not kept. SOAR and the restricted quadtree fly the same way.
 """
 
 from __future__ import annotations

@@ -1,17 +1,18 @@
-"""SOAR against plain C++: triangles per second of the same refinement, in the same process, by turns.
+"""SOAR against plain C++: triangles per second of the same refinement, in the same process, in turns.
 
     python bench/soar.py [--size 4097] [--tolerance 0.1] [--rounds 25] [--seed 7] [--priority]
 
-A synthetic terrain (``orograph synth``) seen as a whole, culled, at a tolerance that makes over 500,000 triangles.
-``bench/soar.cpp`` is compiled by g++ -O3 -march=native; its triangle count must be equal. Ours is all of ``Soar.mesh``
-(on one thread and on two, by the bound over spheres that C++ has; and looking ahead), C++ the loop alone: over one
-dense row-major array of structs, over our pages, and over our pages with our prefetches. Every round takes each once;
-medians, the best, and how many times faster ours is, in processor time of the thread (two threads: in wall time).
+A synthetic terrain (``orograph synth``) is seen as a whole, culled, at a tolerance that makes over 500,000 triangles.
+g++ -O3 -march=native compiles ``bench/soar.cpp``; its triangle count must be equal. Ours is all of ``Soar.mesh`` (on
+one thread and on two, with the same bound over spheres as C++; and with look-ahead). C++ is the loop alone: over one
+dense row-major array of structs, over our pages, and over our pages with our prefetches. Every round runs each once.
+Printed are medians, the best, and how many times faster ours is, in processor time of the thread (with two threads: in
+wall time).
 
-What two threads gain is told in wall time on both sides. What they can gain is the machine's to say: in every round the
-same arithmetic, which touches no memory, runs on one thread and then on two at once; the last lines tell how much of
-two processors there was (two halves of one core, or a busy neighbour: less than 2). ``--priority`` asks the system to
-run this before all else, so that other programs do not decide (Linux, with the right to do so).
+The gain from two threads is wall time on both sides, and depends on the machine. So every round also runs the same
+arithmetic, which touches no memory, on one thread and then on two at once; the last lines tell how much of two
+processors there was (less than 2 with two halves of one core, or with other load). ``--priority`` asks the system to
+run this process before all others, so that they do not affect the result (Linux, needs the privilege).
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def pointer(array: NDArray[np.generic]) -> ctypes.c_void_p:
 
 @kernel
 def arithmetic(count: int) -> float:
-    """Eight sums that do not wait for each other: a processor of its own does as well beside another."""
+    """Eight independent sums; on a core of its own, a thread is as fast as without a neighbour."""
     a = b = c = d = e = f = g = h = 1.0
     for _ in range(count):
         a, b, c, d = a * 0.999 + 1e-9, b * 0.999 + 2e-9, c * 0.999 + 3e-9, d * 0.999 + 4e-9
@@ -57,7 +58,7 @@ def arithmetic(count: int) -> float:
 
 
 def at_once(count: int) -> None:
-    """The arithmetic, twice, by two threads."""
+    """Run the arithmetic on two threads at once."""
     other = threading.Thread(target=arithmetic, args=(count,))
     other.start()
     arithmetic(count)
@@ -73,7 +74,7 @@ def compiled(folder: Path) -> ctypes.CDLL:
 
 
 def page_aligned(*shape: int) -> NDArray[np.float32]:
-    """float32 that begins at a page of memory, with huge pages where there are any, as the method's own has."""
+    """A float32 array that begins at a page of memory, with huge pages if there are any, like the method's own."""
     size = int(np.prod(shape))
     room = np.empty(size + 1024, np.float32)
     skip = -room.ctypes.data % 4096 // 4
@@ -155,7 +156,7 @@ def main() -> None:
         fewer = ahead.mesh(seen, goal)[0].triangles
 
         def looking() -> int:
-            """As ``one``, with the look-ahead made anew (a method keeps that of the last view)."""
+            """Like ``one``, but computes the look-ahead afresh (a method keeps that of the last view)."""
             ahead._ahead = None
             made = ahead.mesh(seen, goal)[0].triangles
             return count if made == fewer else made
@@ -174,7 +175,7 @@ def main() -> None:
         arithmetic(1)
         for _ in range(given.rounds + 2):
             if given.priority:
-                time.sleep(0.03)  # what runs before all else is stopped for a while if it never rests
+                time.sleep(0.03)  # the system pauses a prioritised process that never sleeps
             for name, run in runs.items():
                 start, clock = time.perf_counter(), time.thread_time()
                 made = run()

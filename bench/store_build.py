@@ -1,11 +1,11 @@
-"""Building a store beside making a Cloud Optimised GeoTIFF with overviews of the same file, on the same threads.
+"""Building a store compared with making a Cloud Optimised GeoTIFF with overviews of the same file, on the same threads.
 
     python bench/store_build.py [DEM.tif | --size 8193] [--threads 2] [--rounds 3]
 
-Each run is a process of its own, timed from its start to its end; of the rounds the best counts, and they alternate.
-Both use ZSTD at level 1; the COG has bilinear overviews and 512² blocks. The store holds more: every
-level twice (nested samples, box means), error bounds, checksums; "build" also the errors and spheres of all diamonds,
-which "heights" leaves out. Peak memory is the process's largest resident set.
+Each run is a process of its own, timed from start to end; rounds alternate, and the best counts. Both use ZSTD at level
+1; the COG has bilinear overviews and 512² blocks. The store holds more: every level twice (nested samples, box means),
+error bounds, checksums; "build" also has the errors and spheres of all diamonds, which "heights" leaves out. Peak
+memory is the process's largest resident set.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""Random 257² tiles and large windows out of a store: Orograph beside zarr-python and tensorstore on the same files.
+"""Random 257² tiles and large windows from a store: Orograph, zarr-python and tensorstore on the same files.
 
     python bench/store_read.py [STORE | --size 8193]
 
-*cold*: nothing decoded is kept (the files are in the system's cache, as they are after a build); *cached*: every tile
-has been read before. Each reader uses the threads it has by default unless the column says otherwise.
+*cold*: no decoded data is kept (the files are in the system's cache, as they are after a build); *cached*: every tile
+has been read before. Each reader uses its default number of threads unless the column says otherwise.
 """
 
 from __future__ import annotations

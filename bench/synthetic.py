@@ -1,9 +1,9 @@
-"""The benches' synthetic terrain, in memory or as a store: what ``orograph synth --size SIZE --seed SEED`` writes.
+"""The benchmarks' synthetic terrain, in memory or as a store: that of ``orograph synth --size SIZE --seed SEED``.
 
     python bench/synthetic.py SIZE [--folder FOLDER] [--jobs N]
 
-builds the store ``synthetic-SIZE.oro`` straight from the terrain's formula, block by block: no raster of it is ever
-written (65537² samples would be a file of 17 GB). An interrupted build is finished by the next call.
+builds the store ``synthetic-SIZE.oro`` straight from the terrain's formula, block by block, without writing a raster
+(one of 65537² samples would be a file of 17 GB). The next call finishes an interrupted build.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from orograph.store.stored import StoredTerrain
 SEED, CELL = 7, 30.0
 
 LEFT = 15 << 30
-"""Bytes that stay free on the disk."""
+"""Bytes to leave free on the disk."""
 
 PER_SAMPLE = 4.5
 """Bytes of a store per sample, at most: heights, means and errors, compressed."""
@@ -45,10 +45,10 @@ def synthetic(size: int, seed: int = SEED, cell: float = CELL) -> MemoryTerrain:
 def synthetic_store(
     size: int, folder: Path | None = None, *, jobs: int | None = None, progress: Progress = SILENT
 ) -> StoredTerrain:
-    """The same as a store below ``folder`` (default: the cache), built unless it is there.
+    """The same as a store in ``folder`` (default: the cache), built unless it is there.
 
     Raises:
-        OutputError: the disk has no room for it.
+        OutputError: the disk is full.
     """
     place = (folder or cache_folder()) / f"synthetic-{size}.oro"
     if place.is_dir():

@@ -1,9 +1,9 @@
-"""Threshold spheres on a smooth flight: how much of the front is looked at again in a frame, and what that costs.
+"""Threshold spheres on a smooth flight: the part of the front that a frame checks again, and what that costs.
 
     python bench/threshold_spheres.py [HEIGHTS.npy | DEM | --size 4097] [--cell 30] [--frames 60] [--tolerance 1]
 
 The eye flies 300 m above the ground (the flight of ``bench/roam.py``) at several speeds, straight on or turning, with
-each metric. Medians over frames; the first one builds the mesh and is told apart.
+each metric. Figures are medians over frames. The first frame builds the mesh and is listed separately.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from synthetic import synthetic
 
 
 def turned(view: View, degrees: float) -> View:
-    """The view with its target turned around the vertical through the eye, to the left."""
+    """The view with its target turned to the left around the vertical through the eye."""
     angle = np.radians(degrees)
     x, y = view.target[0] - view.eye[0], view.target[1] - view.eye[1]
     x, y = x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)
@@ -32,7 +32,7 @@ def turned(view: View, degrees: float) -> View:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("heights", nargs="?", help="default: a synthetic terrain")
-    parser.add_argument("--size", type=int, default=4097, help="samples along a side of that")
+    parser.add_argument("--size", type=int, default=4097, help="its samples along a side")
     parser.add_argument("--cell", type=float, default=30.0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--tolerance", type=float, default=1.0)

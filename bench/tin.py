@@ -1,12 +1,12 @@
-"""TINs beside their peers: triangles, true errors, and samples per second, on one core.
+"""TINs compared with their peers: triangles, true errors, and samples per second, on one core.
 
     python bench/tin.py [DEM … | --size 1025] [--max-error 2 20] [--side 512]
 
-For each bound: the TIN within it on the surface and at samples; pydelatin asked for the same; and quadric
-simplification (meshoptimizer, fast-simplification; Garland & Heckbert 1997) down to as many triangles as the TIN on the
-surface has. All errors are the referee's (``verify.judge_mesh``), in metres on the vertical: on the surface, and at
-samples. Times are processor seconds of one thread. Rasters with missing samples are left to the TIN, for the peers
-know none. Without a DEM the terrain is synthetic (``orograph synth --seed 7``).
+For each bound: the TIN that keeps it on the surface, and the one that keeps it at samples; pydelatin with the same
+bound; and quadric simplification (meshoptimizer, fast-simplification; Garland & Heckbert 1997) to as many triangles as
+the TIN on the surface has. The referee (``verify.judge_mesh``) measures all errors, in vertical metres: on the surface,
+and at samples. Times are processor seconds of one thread. Only the TIN is run on rasters with missing samples, because
+its peers do not support them. Without a DEM, the terrain is synthetic (``orograph synth --seed 7``).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def timed(work: Callable[[], Any]) -> tuple[Any, float]:
 
 
 def oriented(terrain: MemoryTerrain, vertices: np.ndarray, triangles: np.ndarray, free: bool = False) -> Tessellation:
-    """A peer's mesh; its triangles turn as they ought to, those without area are left out."""
+    """A peer's mesh with its triangles oriented alike and without those of no area."""
     x, y = vertices[:, 0], vertices[:, 1]
     a, b, c = triangles.T
     area = (x[b] - x[a]) * (y[c] - y[a]) - (y[b] - y[a]) * (x[c] - x[a])
@@ -91,7 +91,7 @@ def quadrics(terrain: MemoryTerrain, goal: int) -> list[Row]:
         lambda: fast_simplification.simplify(metres, triangles.astype(np.int32), target_count=goal)
     )
     points = points.astype(np.float64) / [cell, cell, 1]
-    points[:, :2] = np.round(points[:, :2] * 1024) / 1024  # as finely as the referee counts
+    points[:, :2] = np.round(points[:, :2] * 1024) / 1024  # as fine as the referee's count
     points[:, :2] = np.clip(points[:, :2], 0, np.array(terrain.grid.shape[::-1]) - 1)
     return [*rows, ("fast-simplification", oriented(terrain, points, faces, free=True), seconds)]
 

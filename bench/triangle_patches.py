@@ -1,19 +1,21 @@
-"""Triangle patches, measured: the time to select them, triangles beside other methods', a flight over a store.
+"""Triangle patches, measured: the time to select them, their triangles and other methods', and a flight over a store.
 
     python bench/triangle_patches.py [--data FOLDER] [--store STORE.oro] [--frames 200] [--part PART]
 
-*select*: ``TrianglePatches.patches`` alone, all pages there, on views of a 4097² synthetic terrain that make about so
-many patches (medians of 25, and what one diamond looked at costs).
+*select*: ``TrianglePatches.patches`` alone, with all pages loaded, on views of a 4097² synthetic terrain with various
+numbers of patches (medians of 25, and the cost per visited diamond).
 
-*triangles*: how many triangles ``triangle-patches`` draws beside ``soar`` and ``top-down`` (triangle by triangle, the
-same promise), over views of ``bench/promise.py``; with geomorphs and without; and how far the worst sample really is.
+*triangles*: the triangles that ``triangle-patches`` draws compared with ``soar`` and ``top-down`` (triangle by
+triangle, the same promise), over views of ``bench/promise.py``, with geomorphs and without; and the true error of the
+worst sample.
 
-*promise*: the referee on 20 views of each terrain of ``bench/promise.py`` at 1 pixel: patches as they are drawn, points
-on their way included (their heights are no samples: that is not counted among the defects), with and without geomorphs.
+*promise*: the referee on 20 views of each terrain of ``bench/promise.py`` at 1 pixel: patches as they are drawn, with
+and without geomorphs, including vertices that are moving (their heights are not samples, which does not count as a
+defect).
 
-*flight*: a straight flight over a store (default: built of ``california-3s-tiles`` into a temporary folder), at 60
-frames a second, pages of errors read in the background (``Ready(wait=False)``): ms of Python a frame, patches, tiles
-wanted that the frame before did not want, frames until nothing is lacking.
+*flight*: a straight flight over a store (default: built from ``california-3s-tiles`` in a temporary folder), at 60
+frames a second, with pages of errors read in the background (``Ready(wait=False)``): ms of Python per frame, patches,
+tiles wanted that the frame before did not want, and frames until nothing is missing.
 """
 
 from __future__ import annotations
@@ -44,12 +46,12 @@ SPEED = 2000.0
 
 
 def patches_of(method: TrianglePatches, view: View, tolerance: float, wait: bool = True) -> Patches:
-    """As a renderer selects them."""
+    """The patches as a renderer selects them."""
     return method.patches(Camera.over(method.terrain.grid, view), tolerance, Ready(wait=wait), rim=1.0)
 
 
 def select(data: Path) -> None:
-    """Milliseconds a selection, by the number of patches."""
+    """Milliseconds per selection, by the number of patches."""
     terrain = promise.terrain_of("synthetic 4097", data)
     assert terrain is not None
     print("\nselect: 4097² synthetic, one thread")
@@ -77,7 +79,7 @@ def select(data: Path) -> None:
 
 
 def triangles(data: Path, count: int) -> None:
-    """Triangles beside other methods'."""
+    """Triangles compared with other methods'."""
     print(f"\ntriangles: mean of {count} views; in brackets the largest error of all over the tolerance")
     labels = ("settled", "morphing", "L = 8", "L = 32", "soar", "top-down")
     print(f"{'':16}{'τ px':>6} " + " ".join(f"{label:>14}" for label in labels))
@@ -142,7 +144,7 @@ def keeps(data: Path, count: int, names: list[str]) -> None:
 
 
 def path_of(terrain: Terrain, seconds: float) -> View:
-    """Where a flight across the middle of a terrain is."""
+    """The eye and target of a flight across the middle of a terrain."""
     rows, cols = terrain.grid.shape
     t = terrain.grid.transform
     x0, y0 = (float(v) for v in terrain.grid.xy(0.2 * cols, 0.55 * rows))

@@ -1,33 +1,35 @@
-"""The interactive view off screen: flights over large terrains, frame by frame, on whatever GPU there is.
+"""The interactive view off screen: flights over large terrains, frame by frame, on any GPU.
 
     python bench/view.py [--terrain california|synthetic-16385|synthetic-65537|PATH…] [--flight orbit|low|jump|steady]…
         [--method auto|all|NAME]… [--tolerance 2]… [--size 1280x720]… [--frames 120] [--judge 3] [--folder FOLDER]
         [--memory 4096] [--rate 60] [--waited] [--no-look-ahead] [--table]
 
-Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain of so many samples
-a side as a store (``bench/synthetic.py``; built first, if it is not there, in FOLDER or the cache), or any files.
+Terrains: the 40 tiles of California (default; 11815 × 5567 samples in metres), the synthetic terrain with so many
+samples a side as a store (``bench/synthetic.py``; built first in FOLDER or the cache if it is missing), or any files.
 
-Flights: *orbit*, all of the terrain in view, half a degree a frame; *low*, a straight flight close above the ground at
-300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place of the
-terrain every ten frames (of a flight of fewer than 40, four times). Every frame is drawn as the window draws it (the
-first, too, after ``Renderer.prepare``; tiles stream in meanwhile; shadows and sky are on) and then waited for, and no
-frame is begun before its time on a clock of ``--rate`` frames a second; 0: each begins when the last one is done, and
-then all are drawn once more with none waited for but the last: so many frames a second there can be.
+Flights: *orbit*, with the whole terrain in view, half a degree per frame; *low*, a straight flight close above the
+ground at 300 m/s and 60 frames a second; *steady*, the same at ten times the height and speed; *jump*, to another place
+of the terrain every ten frames (four times in a flight of fewer than 40). Every frame is drawn as the window draws it
+(including the first, after ``Renderer.prepare``; tiles stream in meanwhile; shadows and sky are on), and then waited
+for. No frame begins before its time on a clock of ``--rate`` frames a second. With a rate of 0, each frame begins when
+the last one is done; then all are drawn once more, waiting only for the last, which gives the frame rate.
 
-Each flight is flown by every ``--method`` (all: each there is) at every tolerance and size; their frames are compared
-best where other programs rest, or by the processors' time. A method that cannot fly over the terrain says why.
+Every ``--method`` (all: every method) flies each flight at every tolerance and size. Compare their frames on an idle
+machine, or by processor time. A method that cannot fly over the terrain says why.
 
-Told as median and worst: ms until the GPU is done, ms of all threads of the process meanwhile (on software: of the GPU,
-too), ms of the GPU by its own clock (timestamps), ms of Python (*to submit*: until the frame is handed over, what the
-GPU waits for; *all*: with what is done after that) and of the loop (with what the driver does when it is given the
-work), ms of selection, patches, triangles, tiles loaded and lacking, MB uploaded, the bound of the largest error in
-pixels with the tiles that were there; and of ``--judge`` views, with all their tiles, the largest error that the
-referee finds among all full-resolution samples in view (of other methods, in the picture: of all that its pixels show).
-Of a tree that lives on the GPU (``cbt``), also what it takes: triangles in its pool and their bytes, ms of an update,
-updates until nothing changes any more, from two triangles and from frame to frame, and the error of what was drawn in
-flight, read back. Meshes of most other methods are made by a thread aside: frames show the last one that is ready, and
-*late* counts those whose mesh is another camera's. ``--table`` prints a row
-of a Markdown table for each flight instead.
+The figures are medians and maxima of: ms until the GPU is done; ms of all threads of the process meanwhile (with a
+software adapter this includes the GPU's); ms of the GPU by its own clock (timestamps); ms of Python (*to submit*: until
+the frame is submitted, when the GPU can start; *all*: with the work after that) and of the loop (with the driver's work
+on submission); ms of selection, patches, triangles, tiles loaded and missing, MB uploaded; and the bound of the largest
+error in pixels with the loaded tiles. For ``--judge`` views with all their tiles, there is also the largest error that
+the referee finds among all full-resolution samples in view (for other methods, in the picture: among those that its
+pixels show).
+
+A tree that lives on the GPU (``cbt``) has more figures: the triangles in its pool and their bytes, ms per update,
+updates until nothing changes any more (from two triangles, and from frame to frame), and the error of what was drawn in
+flight, read back. Most other methods make their meshes in a background thread: frames show the last one that is ready,
+and *late* counts those whose mesh is for another camera. ``--table`` prints a row of a Markdown table for each flight
+instead.
 """
 
 from __future__ import annotations
@@ -68,15 +70,18 @@ SPEED = 300.0
 """Metres a second, flying low."""
 
 STALL = 1000 / 30
-"""Milliseconds that a frame may hold the loop up."""
+"""Milliseconds for which a frame may block the loop."""
 
 Size = tuple[int, int]
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What one took: ms of Python to the last submission, until the GPU was done, of the processors until then, by the
-    GPU's clock (or None)."""
+    """The cost of a frame, ms.
+
+    Python until the last submission, wall time until the GPU is done, processor time until then, and the GPU's own
+    clock (or None).
+    """
 
     python: float
     done: float
@@ -86,12 +91,12 @@ class Frame:
 
 
 def orbit(terrain: Terrain, size: Size, count: int) -> list[View]:
-    """Around the middle of the terrain, all of it in view, half a degree a frame."""
+    """Around the middle of the terrain, all of it in view, half a degree per frame."""
     return [around(terrain, size, azimuth=200 + 0.5 * k, pitch=30, distance=None) for k in range(count)]
 
 
 def straight(terrain: Terrain, size: Size, count: int, above: float, speed: float) -> list[View]:
-    """A flight eastwards through the terrain's middle, looking ahead and down; metres above its coarse heights."""
+    """Eastwards through the terrain's middle, looking ahead and down; metres above its coarse heights."""
     spacing = terrain.grid.spacing[0]
     level = max(0, terrain.levels - 3)
     rows, cols = terrain.shape(level)
@@ -144,7 +149,7 @@ FLIGHTS = {"orbit": orbit, "low": low, "steady": steady, "jump": jump}
 
 
 def terrain_of(names: list[str], options: argparse.Namespace) -> Terrain:
-    """A terrain by its name, or of files."""
+    """A terrain by its name, or from files."""
     if names == ["california"]:
         return prepare(sorted(map(str, (options.data / "california-3s-tiles").glob("*.tif"))))
     if len(names) == 1 and names[0].startswith("synthetic-"):
@@ -155,7 +160,7 @@ def terrain_of(names: list[str], options: argparse.Namespace) -> Terrain:
 def fly(
     renderer: Renderer, device: Device, views: list[View], scene: Scene, options: argparse.Namespace
 ) -> tuple[list[Frame], list[tuple[View, Tessellation]]]:
-    """Draw them all, one after the other, none before its time; of a tree, what ``--judge`` of them drew."""
+    """Draw all frames in turn, none before its time; for a tree, return what ``--judge`` of them drew."""
     judge: int = options.judge
     meshes: list[tuple[View, Tessellation]] = []
     clock = Clock(device)
@@ -186,7 +191,7 @@ def fly(
 
 
 def most(renderer: Renderer, device: Device, views: list[View], scene: Scene) -> float:
-    """Frames a second where none is waited for."""
+    """Frames per second when none is waited for."""
     target = device.texture((views[0].width, views[0].height), "rgba8unorm", "RENDER_ATTACHMENT").create_view()
     device.wait()
     start = time.perf_counter()
@@ -197,7 +202,7 @@ def most(renderer: Renderer, device: Device, views: list[View], scene: Scene) ->
 
 
 def grown(renderer: Renderer, device: Device, views: list[View], tolerance: float) -> str:
-    """What the tree of a renderer takes, with the pages that it has."""
+    """The costs of a renderer's tree, with the pages that it has."""
     tree = renderer.tree.tree
 
     def settle(of: Tree, view: View) -> tuple[int, list[tuple[float, float]]]:
@@ -228,7 +233,7 @@ def grown(renderer: Renderer, device: Device, views: list[View], tolerance: floa
 
 
 def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: float) -> list[float]:
-    """The largest error, pixels, of each view with the tiles that a frame has when none is waited for any more."""
+    """The largest error of each view, pixels, once all its tiles are loaded."""
     found = []
     for view in views:
         patches = renderer.tiles.choose(view, tolerance, 1.0, wait=True).patches
@@ -239,7 +244,7 @@ def judged(renderer: Renderer, terrain: Terrain, views: list[View], tolerance: f
 
 
 def judged_pictures(renderer: Renderer, device: Device, scenes: list[Scene]) -> list[float]:
-    """The largest error, pixels, of what pictures of scenes show, with all that they want."""
+    """The largest error of the pictures of scenes, pixels, with all their tiles."""
     found = []
     for scene in scenes:
         size = scene.view.width, scene.view.height
@@ -250,7 +255,7 @@ def judged_pictures(renderer: Renderer, device: Device, scenes: list[Scene]) -> 
 
 
 def short(milliseconds: list[float]) -> str:
-    """Their median, for a table."""
+    """The median, for a table."""
     return f"{np.median(milliseconds):.3g}" if milliseconds else "-"
 
 
@@ -259,7 +264,7 @@ def row(name: str, values: list[float], form: str = "{:.1f}") -> str:
     return f"  {name:30} median {form.format(middle):>10}   worst {form.format(worst):>10}"
 
 
-def told(frames: list[Frame]) -> str:
+def table(frames: list[Frame]) -> str:
     """The table of a flight."""
     stats = [f.stats for f in frames]
     worst = max(range(len(frames)), key=lambda k: frames[k].done)
@@ -297,7 +302,7 @@ COLUMNS = (
 
 
 def line(name: str, method: str, frames: list[Frame], errors: list[float], rate: float) -> str:
-    """The row of a flight in a table."""
+    """A flight's row in a table."""
     stats = [f.stats for f in frames]
     done, gpu = [f.done for f in frames], [f.gpu for f in frames if f.gpu is not None]
     windows = max(s.windows for s in stats)
@@ -315,7 +320,7 @@ def line(name: str, method: str, frames: list[Frame], errors: list[float], rate:
 def flight(
     device: Device, terrain: Terrain, name: str, method: str, tolerance: float, size: Size, options: argparse.Namespace
 ) -> None:
-    """Fly once, and tell of it."""
+    """Fly once, and print the results."""
     views = FLIGHTS[name](terrain, size, options.frames)
     begun = time.perf_counter()
     renderer = Renderer(device, terrain, gpu_memory=options.gpu_memory << 20)
@@ -337,7 +342,7 @@ def flight(
             print(line(name, method, frames, errors, rate), flush=True)
             return
         print(f"{name}, {method}: {len(frames)} frames; the renderer opened in {opened * 1e3:.0f} ms")
-        print(told(frames), flush=True)
+        print(table(frames), flush=True)
         if rate:
             print(f"  frames a second, none waited for    {rate:.0f}")
         if renderer.tree is not None:
@@ -355,7 +360,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--terrain", nargs="+", default=["california"])
     parser.add_argument("--flight", action="append", choices=list(FLIGHTS), help="default: orbit")
-    parser.add_argument("--method", action="append", help="auto (default): what is streamed; all")
+    parser.add_argument("--method", action="append", help="auto (default): streamed patches; all: each")
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
     parser.add_argument("--tolerance", action="append", type=float, help="pixels; default: 2")
@@ -363,9 +368,9 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=120)
     parser.add_argument("--judge", type=int, default=0, help="how many frames the referee looks at")
     parser.add_argument("--gpu-memory", type=int, default=512, help="MiB of tiles on the GPU")
-    parser.add_argument("--memory", type=int, default=4096, help="MiB that methods may take for what stores lack")
+    parser.add_argument("--memory", type=int, default=4096, help="MiB for what methods need and stores lack")
     parser.add_argument("--table", action="store_true", help="a row for each flight")
-    parser.add_argument("--rate", type=float, default=RATE, help="frames a second at most; 0: as many as there can be")
+    parser.add_argument("--rate", type=float, default=RATE, help="frames a second at most; 0: unlimited")
     parser.add_argument("--waited", action="store_true", help="wait for all tiles in each frame")
     parser.add_argument("--no-look-ahead", action="store_true", help="read nothing ahead of the camera")
     options = parser.parse_args()

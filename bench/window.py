@@ -1,12 +1,12 @@
-"""How long ``orograph view`` takes until there is terrain to be seen: from exec to pixels on a screen.
+"""How long ``orograph view`` takes to show terrain: from exec to pixels on a screen.
 
     python bench/window.py [PATH...] [--runs N] [--size WxH] [--cold]
 
-A virtual screen (Xvfb) is looked at every few milliseconds, as an eye would: what counts is not what the program says
-of itself. Three times are told, seconds from exec: the window is there (something is drawn: panels, a sentence), the
-ground is there (a tenth of the middle of the picture is neither paper nor sky), and it rests (nothing changed for a
-second). ``--cold``: also once with Mesa's shader cache empty (the first start on a machine; compiled kernels are kept).
-Software Vulkan unless OROGRAPH_ADAPTER says otherwise. Needs Xvfb. The first run, which fills caches, is not counted.
+A virtual screen (Xvfb) is captured every few milliseconds, so the times are those of what a user sees, not what the
+program reports. There are three, in seconds from exec: the window (anything is drawn: panels, a sentence), the ground
+(a tenth of the middle of the picture is neither background nor sky), and a still picture (no change for a second).
+``--cold``: also once with Mesa's shader cache empty (the first start on a machine; compiled kernels are kept). Uses
+software Vulkan unless OROGRAPH_ADAPTER says otherwise. Needs Xvfb. The first run fills caches and is not counted.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from PIL import ImageGrab
 
 TILE = Path(__file__).parents[2] / "shared" / "data" / "n44w072-hgt" / "N44W072.hgt"
 STEP = 0.04
-"""Seconds between two looks: one takes 6 ms, and two processors are all that some have."""
+"""Seconds between two captures, each of which takes 6 ms: some machines have only two processors."""
 PATIENCE = 120.0
 REST = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """Seconds from exec until the window, ground, and a picture that rests."""
+    """Seconds from exec until the window, the ground, and a still picture."""
 
     window: float
     ground: float
@@ -48,8 +48,8 @@ def screen(width: int, height: int) -> tuple[subprocess.Popen[bytes], str]:
         pass_fds=[write], stderr=subprocess.DEVNULL,
     )  # fmt: skip
     os.close(write)
-    with os.fdopen(read) as told:
-        return server, f":{told.readline().strip()}"
+    with os.fdopen(read) as number:
+        return server, f":{number.readline().strip()}"
 
 
 def look(display: str, size: tuple[int, int]) -> np.ndarray:
@@ -60,8 +60,10 @@ def look(display: str, size: tuple[int, int]) -> np.ndarray:
 
 
 def ground(picture: np.ndarray) -> bool:
-    """Whether a tenth of it is lit ground: neither the dark of an empty window nor a smooth sky (whose neighbours down
-    a column hardly differ)."""
+    """Whether a tenth of it is lit ground.
+
+    Ground is neither the dark of an empty window nor a smooth sky, whose neighbours down a column hardly differ.
+    """
     some = picture[:, ::8].astype(int)
     lit = some.max(2)[1:] > 40
     rough = np.abs(np.diff(some, axis=0)).max(2) > 0

@@ -26,7 +26,7 @@ Window = tuple[int, int, int, int]
 
 
 class Readable(Raster, Protocol):
-    """A raster that says what of it differs from another."""
+    """A raster with a fingerprint of its samples."""
 
     def fingerprint(self) -> str: ...
 
@@ -35,8 +35,8 @@ class Aligned:
     """Part of a grid, with a raster's heights at its samples.
 
     Args:
-        raster: what is read: a ``Mosaic``, or any other raster by windows.
-        grid: where its heights are wanted. window: rows and columns of ``grid`` that it is (half-open).
+        raster: a ``Mosaic``, or any other raster read by windows.
+        grid: where heights are wanted. window: its rows and columns of ``grid`` (half-open).
         resampling: "nearest", "bilinear" or "cubic".
     """
 
@@ -50,8 +50,10 @@ class Aligned:
         self._layers = [layer_of(lattice, grid, resampling) for lattice in lattices]
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """Heights of a half-open window of ``grid``, float32 metres, NaN where missing; the same whatever the
-        window."""
+        """Heights of a half-open window of ``grid``, float32 metres, NaN where missing.
+
+        They do not depend on the window.
+        """
         top, _, left, _ = self._window
         box = top + row0, top + row1, left + col0, left + col1
         return self._raster.read(*box) if self._own else filled(self._resampling, self._layers, *box)
@@ -63,7 +65,7 @@ class Aligned:
 
 
 def lattices_of(raster: Raster) -> tuple[SourceLattice, ...]:
-    """The source of a raster's samples: a mosaic's sources, otherwise the raster itself."""
+    """The sources of a raster's samples: a mosaic's lattices, otherwise the raster itself."""
     return raster.lattices if isinstance(raster, Mosaic) else tuple(group([raster], [raster.grid]))
 
 

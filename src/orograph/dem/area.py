@@ -61,7 +61,7 @@ class Area:
 
         Args:
             bbox: west, south, east, north, degrees.
-            clip: polygons: a GeoJSON file or object, or what has ``__geo_interface__`` (shapely, geopandas).
+            clip: polygons: a GeoJSON file, or an object of GeoJSON or with ``__geo_interface__`` (shapely, geopandas).
 
         Raises:
             UsageError: the box is not a box. ReadError: the file cannot be read, or holds no polygon.
@@ -137,8 +137,8 @@ class Cut:
     """A part of a raster: a window of it, with only the samples in polygons.
 
     Args:
-        window: first row, row after the last, first column, column after it. turn: of longitude, how far it is moved
-            (in its CRS's unit). rings: of polygons in its CRS after that; none: all samples. area: its fingerprint.
+        window: first row, row after the last, first column, column after the last. turn: its shift in longitude
+            (in its CRS's unit). rings: of polygons in the shifted CRS; none: all samples. area: its fingerprint.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Cut:
         return np.where(inside(self._rings, transform, heights.shape), heights, np.float32(np.nan))
 
     def turned(self, row0: int, row1: int, col0: int, col1: int) -> tuple[int, int, int, int]:
-        """A window of the file's own rows and columns as ``read`` counts them."""
+        """Convert a window of the file's own rows and columns to those of ``read``."""
         top, _, left, _ = self.window
         r0, r1, c0, c1 = self.raster.turned(row0, row1, col0, col1)  # type: ignore[attr-defined]
         return r0 - top, r1 - top, c0 - left, c1 - left
@@ -180,8 +180,8 @@ class Cut:
         return f"{self._area} {self.window} {'' if own is None else own()}"
 
 
-def said(clip: Any) -> Any:
-    """Polygons as JSON, for a store's record: a file by its path."""
+def recorded(clip: Any) -> Any:
+    """Polygons as JSON for a store's record; a file is recorded by its path."""
     if clip is None:
         return None
     return str(Path(clip).absolute()) if isinstance(clip, str | os.PathLike) else geojson.load(clip)[0]
@@ -221,14 +221,16 @@ def reach(grid: Grid) -> str:
 
 
 def lonlat_bounds(grid: Grid) -> Box | None:
-    """West, south, east, north of a raster's samples, as an area has them (west > east across the 180th meridian); None
-    where they are unknown."""
+    """West, south, east, north of a raster's samples in degrees; None if unknown.
+
+    West > east across the 180th meridian, as for an area.
+    """
     if grid.crs is None:
         return None
     x, y = grid.xy(*np.meshgrid(np.linspace(0, grid.cols - 1, 9), np.linspace(0, grid.rows - 1, 9)))
     try:
         lon, lat = transformer(grid.crs, degrees_of(grid))(np.ravel(x), np.ravel(y))
-    except UsageError:  # a CRS that is nowhere on a body
+    except UsageError:  # a CRS that is not on any body
         return None
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
         return None
@@ -262,7 +264,7 @@ def box_window(grid: Grid, box: Box, turn: float = 0.0) -> tuple[int, int, int, 
     east = east if east > west else east + 360.0
     lon, lat = np.meshgrid(np.linspace(west, east, LATTICE), np.linspace(south, north, LATTICE))
     x, y = transformer(degrees_of(grid), grid.crs)(lon.ravel(), lat.ravel())
-    if grid.crs is not None and grid.crs.is_geographic:  # places wrapped into one turn are unwrapped again
+    if grid.crs is not None and grid.crs.is_geographic:  # unwrap longitudes
         full = full_turn(grid)
         x = x + np.round((lon.ravel() / 360.0 * full - x) / full) * full
     return window_of(grid, np.stack([x - turn, y], axis=-1))

@@ -31,7 +31,7 @@ def heights_of(values: Any, called: str, *, nodata: float | None = None, factor:
     """Numbers of any real type as heights: float32 metres, NaN where missing; always a copy.
 
     Args:
-        values: an array or what becomes one; a masked array's mask hides.
+        values: an array or what becomes one; masked samples are missing.
         called: what to call it in errors.
         nodata: the stored number that means "missing".
         factor: metres in one of the numbers' unit.
@@ -117,7 +117,7 @@ def affine_of(
     """The given transform, or that of samples ``spacing`` metres apart (1, with a warning).
 
     Raises:
-        UsageError: it is no transform, or degenerate.
+        UsageError: it is not a transform, or is degenerate.
     """
     if transform is None:
         if crs is not None:

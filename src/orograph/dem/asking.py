@@ -29,7 +29,7 @@ class State(NamedTuple):
     """A file on a server.
 
     Attributes:
-        size: bytes. time_ns: when it was changed, by the server's clock. etag: another one for other bytes.
+        size: bytes. time_ns: when it was changed, by the server's clock. etag: changes with the bytes.
     """
 
     size: int
@@ -41,8 +41,7 @@ _known: dict[str, State] = {}
 
 
 def url_of(location: str) -> str | None:
-    """The address of what GDAL fetches over a network; None for everything else, and for URLs signed for
-    reading only."""
+    """The address that GDAL fetches over a network; None for everything else, and for URLs signed for reading only."""
     for prefix, scheme in _GDAL.items():
         if location.startswith(prefix):
             location = scheme + location.removeprefix(prefix)
@@ -51,12 +50,12 @@ def url_of(location: str) -> str | None:
 
 
 def known(location: str) -> State | None:
-    """A manifest's entry on a file on a server."""
+    """The manifest's entry for a file on a server."""
     return _known.get(public(url_of(location) or location))
 
 
 def know(location: str, state: State | None) -> None:
-    """Remember a manifest's entry on a file on a server; None: forget it."""
+    """Remember a manifest's entry for a file on a server; None: forget it."""
     name = public(url_of(location) or location)
     if state is None:
         _known.pop(name, None)
@@ -65,8 +64,10 @@ def know(location: str, state: State | None) -> None:
 
 
 def asked(location: str) -> State | None:
-    """The current state of a file on a server; None if it is unknown (a signed address, obstore is not installed, no
-    entity tag and no time), or if there is no such file."""
+    """The current state of a file on a server; None if there is no such file, or its state is unknown.
+
+    It is unknown for a signed address, without obstore, and if the server gives neither an entity tag nor a time.
+    """
     url = url_of(location)
     try:
         found = None if url is None else _request(url, lambda client, key: client.head(key))
@@ -92,7 +93,7 @@ def fetched(url: str) -> bytes:
 
 
 def _request(url: str, ask: Callable[[Any, str], T]) -> T | None:
-    """An answer, None if there is no such file.
+    """The server's answer; None if there is no such file.
 
     Raises:
         ReadError: the server refuses, or does not answer.

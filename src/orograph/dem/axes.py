@@ -1,12 +1,11 @@
-"""Projected CRSs whose coordinates increase westwards or southwards, and their twins that increase eastwards and
-northwards.
+"""Projected CRSs whose coordinates increase westwards or southwards, and their eastward and northward twins.
 
-South Africa and Namibia count westings and southings (EPSG:2046–2055), Krovak's projection of Bohemia southings and
-westings (EPSG:5513); a raster's coordinates are then those numbers, in that order (GDAL's and PROJ's traditional GIS
-order swaps only northing, easting). Views, light and azimuths are of east and north, so a terrain is placed in the
-twin: every coordinate is an exact negative or exchange, no sample moves. The twin of Transverse Mercator (South
-Orientated), EPSG method 9808, is Transverse Mercator (9807) with negative false origins; that of Krovak (9819) is
-Krovak (North Orientated), 1041 (EPSG Guidance Note 7-2, §3.2.3 and §3.4.2). Units: those of the CRS.
+South Africa and Namibia use westings and southings (EPSG:2046–2055), Krovak's projection of Bohemia southings and
+westings (EPSG:5513). A raster's coordinates are then those numbers, in that order (GDAL's and PROJ's traditional GIS
+order swaps only northing, easting). Views, light and azimuths need east and north, so a terrain is placed in the twin:
+coordinates are negated or exchanged exactly, and no sample moves. The twin of Transverse Mercator (South Orientated),
+EPSG method 9808, is Transverse Mercator (9807) with negative false origins; that of Krovak (9819) is Krovak (North
+Orientated), 1041 (EPSG Guidance Note 7-2, §3.2.3 and §3.4.2). Units: those of the CRS.
 """
 
 from __future__ import annotations
@@ -26,11 +25,10 @@ _SOUTH_ORIENTATED, _KROVAK = "Transverse Mercator (South Orientated)", "Krovak"
 
 @lru_cache(maxsize=64)
 def east_north(crs: CRS) -> tuple[CRS, Affine]:
-    """The CRS whose coordinates increase eastwards and northwards, and the map of ``crs``'s coordinates (x, y) to its
-    own.
+    """The CRS whose coordinates increase eastwards and northwards, and the map from ``crs``'s coordinates (x, y) to it.
 
-    ``crs`` itself and the identity where its axes do so already, point along meridians (polar projections), or where
-    no twin is known.
+    It is ``crs`` itself with the identity if its axes already do so, point along meridians (polar projections), or have
+    no known twin.
     """
     same = (crs, Affine.identity())
     axes = [axis.direction.lower() for axis in crs.axis_info]
@@ -80,7 +78,7 @@ def _twin(crs: CRS) -> CRS | None:
 
 
 def _agree(crs: CRS, twin: CRS, turn: Affine) -> bool:
-    """Whether PROJ takes places to the same coordinates in both, turned."""
+    """Whether both CRSs map places to the same coordinates, after the conversion."""
     area = crs.area_of_use
     west, south, east, north = area.bounds if area is not None else (10.0, -30.0, 20.0, -20.0)
     lon, lat = np.array([west, east, (west + east) / 2]), np.array([south, north, (south + north) / 2])

@@ -1,4 +1,4 @@
-"""Check the bands of an open dataset: may this one be read, and does it look like heights?"""
+"""Check the bands of an open dataset: can this one be read, and does it look like heights?"""
 
 from __future__ import annotations
 

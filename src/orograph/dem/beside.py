@@ -1,8 +1,8 @@
-"""Warn of a companion (.aux.xml) or a world file (.tfw) that contradicts its GeoTIFF: GDAL silently follows the
-.aux.xml, and the file rather than the world file.
+"""Warnings about companion files (.aux.xml, .tfw) that contradict their GeoTIFF.
 
-Such .aux.xml files are written where a program may not, or will not, change the file itself, and stay when the file is
-replaced under its name (https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
+GDAL silently prefers the .aux.xml to the file, and the file to the world file. Programs write such .aux.xml files if
+they may not or will not change the file itself; the .aux.xml then stays when the file is replaced under its name
+(https://gdal.org/drivers/raster/gtiff.html, "Georeferencing", and the PAM's XML).
 """
 
 from __future__ import annotations
@@ -60,13 +60,15 @@ def _world_files(dataset: Any, name: str) -> list[str]:
     for file in (Path(name).with_suffix(suffix) for suffix in _WORLD[dataset.driver]):
         try:
             a, d, b, e, x, y = map(float, file.read_text().replace(",", ".").split()[:6])
-        except (OSError, ValueError):  # there is none, or it says nothing
+        except (OSError, ValueError):  # missing or empty
             continue
-        said = Affine(a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)  # a world file gives the centre of the first sample
-        off = max(_apart(said, place, corner) for corner in ((0, 0), (dataset.width, dataset.height)))
+        world = Affine(
+            a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
+        )  # a world file gives the centre of the first sample
+        off = max(_apart(world, place, corner) for corner in ((0, 0), (dataset.width, dataset.height)))
         if not off <= _WORLD_APART * _step(place):
             found.append(
-                f"{file.name} beside it says that it lies at {said.c:.10g}, {said.f:.10g} with samples of {a:.10g} × "
+                f"{file.name} beside it says that it lies at {world.c:.10g}, {world.f:.10g} with samples of {a:.10g} × "
                 f"{e:.10g}; it says itself {place.c:.10g}, {place.f:.10g} with {place.a:.10g} × {place.e:.10g}, which "
                 "is used (remove the former if it is out of date)."
             )
@@ -79,7 +81,7 @@ def _step(place: Affine) -> float:
 
 
 def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
-    """What a dataset says differently from its file alone, if that says anything: (dataset, file)."""
+    """Properties that a dataset has with its companions and not from its file alone: (dataset, file)."""
     found: list[tuple[str, str]] = []
     if alone.crs and dataset.crs != alone.crs:
         found.append((f"the CRS {_called(dataset.crs)}", _called(alone.crs)))
@@ -103,7 +105,7 @@ def _differences(dataset: Any, alone: Any, band: int) -> list[tuple[str, str]]:
 
 
 def _called(crs: Any) -> str:
-    """A short name of a CRS."""
+    """A short name for a CRS."""
     if not crs:
         return "none"
     named = re.match(r'\w+\["([^"]*)"', crs.to_wkt())

@@ -1,5 +1,4 @@
-"""netCDF conventions (CF 1.11) for a grid, in files and in xarray: axes given by coordinates, whether they are even,
-their unit; depths."""
+"""netCDF conventions (CF 1.11) for grids in files and in xarray: evenly spaced axes, their units; depths."""
 
 from __future__ import annotations
 

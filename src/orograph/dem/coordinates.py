@@ -1,13 +1,13 @@
-"""Where each sample of the target grid lies in a source, without projecting every one of them.
+"""The position of each sample of the target grid in a source, without projecting every one.
 
 Map projections are smooth, so the exact transformation (pyproj) is evaluated on a sparse mesh of target samples, every
-``step``-th one counted from the target's *first* sample, and interpolated bilinearly between. The step is the largest
-power of two for which the interpolation stays within a tolerance (source samples) on probes over the whole grid. Cells
-of the mesh that bend more than that (around a pole, across the antimeridian, at the rim of a projection) are found by
-the second differences of the mesh and evaluated sample by sample. Many inverse projections answer beyond the rim of the
-map too, with positions that belong elsewhere; where the target reaches beyond it, a sample counts only if its position
-projects back to it. Mesh, step and decision depend on the two grids alone, never on the window asked for: coordinates
-are the same to the bit however a raster is cut into windows. Units: samples.
+``step``-th one counted from the target's *first* sample, and interpolated bilinearly between them. The step is the
+largest power of two for which the interpolation stays within a tolerance (source samples) on probes over the whole
+grid. Mesh cells that bend more than that (around a pole, across the antimeridian, at the rim of a projection) are found
+by the second differences of the mesh and evaluated sample by sample. Many inverse projections also give positions
+beyond the rim of the map, which belong elsewhere; where the target reaches beyond it, a sample counts only if its
+position projects back to it. Mesh, step and decision depend only on the two grids, never on the window: coordinates are
+identical to the bit however a raster is cut into windows. Units: samples.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from orograph.geo.grid import Grid
 
 TOLERANCE = 0.01
 STEPS = (64, 32, 16, 8, 4, 2)
-RETURN = 1.0  # samples, and metres: what a position may miss by when it is projected back
-PROBES = 65  # a side: of the target, to see whether it reaches beyond the projection's rim
+RETURN = 1.0  # samples, and metres: tolerances for a position that is projected back
+PROBES = 65  # probes along a side of the target, to see whether it reaches beyond the projection's rim
 
 Floats = NDArray[np.float64]
 
@@ -144,11 +144,11 @@ class Coordinates:
 
 
 def _beyond_rim(projection: Transformer, grid: Grid, col: Floats, row: Floats) -> NDArray[np.bool_]:
-    """Samples outside of the map that a projection draws: their longitude and latitude do not project back to them."""
+    """Samples beyond the rim of a projection's map: their longitude and latitude do not project back to them."""
     x, y = projection.transform(*projection.transform(*grid.xy(col, row)), direction="INVERSE")
     back_col, back_row = grid.index(np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan))
     allowed = max(RETURN, RETURN / min(grid.spacing))
-    return ~(np.hypot(back_col - col, back_row - row) <= allowed)  # and where either way is undefined
+    return ~(np.hypot(back_col - col, back_row - row) <= allowed)  # and where either direction is undefined
 
 
 def _bend(u: Floats, v: Floats) -> Floats:

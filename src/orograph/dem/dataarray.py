@@ -113,8 +113,8 @@ def _known_crs(array: xr.DataArray, crs: str | CRS | None, called: str) -> CRS |
 def _axes_metres(array: xr.DataArray, called: str) -> float:
     """Metres per unit of the coordinates of an array without a CRS."""
     attributes = {str(dim): array.coords[dim].attrs if dim in array.coords else {} for dim in array.dims}
-    names = {name.lower() for dim, said in attributes.items() for name in (dim, str(said.get("standard_name", "")))}
-    units = {dim: str(said.get("units", "")) for dim, said in attributes.items()}
+    names = {name.lower() for dim, attrs in attributes.items() for name in (dim, str(attrs.get("standard_name", "")))}
+    units = {dim: str(attrs.get("units", "")) for dim, attrs in attributes.items()}
     try:
         if names & ROTATED:
             raise ValueError("they are of a rotated pole")
@@ -125,11 +125,13 @@ def _axes_metres(array: xr.DataArray, called: str) -> float:
 
 
 def decoded(array: xr.DataArray) -> xr.DataArray:
-    """An array decoded by its attributes (CF) where xarray has not done so: scaled, and NaN where missing or out of its
-    valid range."""
+    """An array with CF decoding applied if xarray has not done so.
+
+    It is scaled, and NaN where values are missing or out of the valid range.
+    """
     array = _within_range(array)
-    said = array.attrs
-    packed = said.get("scale_factor", 1) != 1 or said.get("add_offset", 0) != 0 or "missing_value" in said
+    attrs = array.attrs
+    packed = attrs.get("scale_factor", 1) != 1 or attrs.get("add_offset", 0) != 0 or "missing_value" in attrs
     if not packed or array.dtype.kind not in "iuf":
         return array
     flat = xr.decode_cf(xr.Dataset({"heights": array.variable}), decode_times=False, decode_coords=False)
@@ -138,12 +140,12 @@ def decoded(array: xr.DataArray) -> xr.DataArray:
 
 def _within_range(array: xr.DataArray) -> xr.DataArray:
     """An array with NaN beyond its valid range, which refers to packed numbers."""
-    said, was = array.attrs, array.encoding
-    low, high = said.get("valid_range", (said.get("valid_min", -np.inf), said.get("valid_max", np.inf)))
+    attrs, was = array.attrs, array.encoding
+    low, high = attrs.get("valid_range", (attrs.get("valid_min", -np.inf), attrs.get("valid_max", np.inf)))
     if (low, high) == (-np.inf, np.inf):
         return array
     scale = 1.0
-    if not {"scale_factor", "add_offset"} & set(said) and {"scale_factor", "add_offset"} & set(was):
+    if not {"scale_factor", "add_offset"} & set(attrs) and {"scale_factor", "add_offset"} & set(was):
         scale, offset = was.get("scale_factor", 1.0), was.get("add_offset", 0.0)
         low, high = sorted((low * scale + offset, high * scale + offset))
         low, high = low - abs(scale) / 2, high + abs(scale) / 2  # (decoded numbers are rounded)
@@ -172,16 +174,18 @@ def from_dataset(dataset: xr.Dataset, *, crs: str | CRS | None = None, name: str
 
 
 def heights_in(dataset: xr.Dataset) -> xr.DataArray:
-    """The only two-dimensional variable of a Dataset, or of several the one that holds heights by its ``standard_name``
-    (CF) or its name.
+    """The variable of a Dataset that holds heights.
+
+    It is the only two-dimensional one or, if there are several, the one that is declared as heights by its
+    ``standard_name`` (CF) or its name.
 
     Raises:
         UsageError: there is none, or the choice is ambiguous.
     """
     flat = {str(k): v for k, v in dataset.data_vars.items() if sum(n != 1 for n in v.shape) == 2}
-    said = {k: v for k, v in flat.items()
+    named = {k: v for k, v in flat.items()
             if {k.lower(), str(v.attrs.get("standard_name", "")).lower()} & HEIGHTS}  # fmt: skip
-    found = flat if len(flat) == 1 else said
+    found = flat if len(flat) == 1 else named
     if len(found) != 1:
         there = ", ".join(flat) or "none"
         raise UsageError(
@@ -196,14 +200,16 @@ def heights_in(dataset: xr.Dataset) -> xr.DataArray:
 
 
 def place_of(array: xr.DataArray) -> tuple[NDArray[Any], Affine | None, CRS | None]:
-    """The values of an image or a raster, (rows, cols) or (rows, cols, bands), and where they lie by its coordinates;
-    None, None where it has none along its rows and columns."""
+    """The values of an image or a raster and their place, from its coordinates; None, None if it has none.
+
+    Values are (rows, cols) or (rows, cols, bands).
+    """
     flat, transform, crs = located(array)
     return flat.to_numpy(), transform, crs
 
 
 def located(array: xr.DataArray) -> tuple[xr.DataArray, Affine | None, CRS | None]:
-    """The same, rows and columns first, without reading the values."""
+    """As ``place_of``, but without reading the values; rows and columns come first."""
     axes = [d for d in array.dims if str(d).lower() in ACROSS | DOWN or _says_axis(array, d)]
     if len(axes) != 2:
         axes = list(array.dims[-2:]) if array.sizes[array.dims[-1]] > 4 or array.ndim == 2 else list(array.dims[:2])
@@ -265,8 +271,8 @@ def _in_degrees(array: xr.DataArray) -> bool:
     return says(x_dim, {"lon", "long", "longitude"}, 360.5) and says(y_dim, {"lat", "latitude"}, 90.5)
 
 
-def _crs_of(array: xr.DataArray, asked: str | CRS | None) -> CRS | None:
-    found: Any = asked
+def _crs_of(array: xr.DataArray, given: str | CRS | None) -> CRS | None:
+    found: Any = given
     if found is None and "spatial_ref" in array.coords:
         attributes = array.coords["spatial_ref"].attrs
         found = attributes.get("crs_wkt") or attributes.get("spatial_ref")

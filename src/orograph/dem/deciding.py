@@ -19,8 +19,10 @@ _known: dict[str, tuple[Key, list[str], list[str]]] = {}
 
 
 def know(location: str, names: Sequence[str]) -> None:
-    """Remember which files determine a raster's samples, for ``files_of``, if all on this disk lie beside it under its
-    name."""
+    """Remember the files that determine a raster's samples, for ``files_of``.
+
+    Only if all of them are on this disk, beside the raster, with its name.
+    """
     folder, name = os.path.split(url_of(location) or location)
     stem = f"{folder}/{name.rpartition('.')[0] or name}.".lower()
     inside = (one == location or (url_of(one) or one).lower().startswith(stem) for one in names)
@@ -31,8 +33,10 @@ def know(location: str, names: Sequence[str]) -> None:
 
 
 def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
-    """All files that determine a raster's samples: its own, its companions (headers, masks), and a VRT's sources, by
-    their GDAL names. Nothing is opened as long as the file and the names beside it are unchanged.
+    """All files that determine a raster's samples, by GDAL's names.
+
+    They are its own, its companions (headers, masks), and a VRT's sources. Nothing is opened as long as the file and
+    the names beside it are unchanged.
 
     Raises:
         ReadError: it cannot be opened.
@@ -48,7 +52,7 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
     with HANDLES.borrow(location) as dataset:
         names, virtual = files_in(dataset), dataset.driver == "VRT"
         if virtual:
-            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs in its text
+            names = [name for name in names if not name.lstrip().startswith("<")]  # VRTs nested in its text
             names += locations(dataset, stamped(location))
     found = dict.fromkeys([location, *sorted(names)])
     if virtual:
@@ -62,18 +66,20 @@ def files_of(location: str, known: frozenset[str] = frozenset()) -> list[str]:
 
 
 def states(names: Iterable[str]) -> list[str]:
-    """The current state of files, a text for each: absolute name, size and modification time. For files not on this
-    disk, the name alone and the entry of a manifest: asking servers for all parts of a mosaic takes longer than reading
-    some of them."""
+    """The current state of files, one text for each: absolute name, size and modification time.
+
+    Files not on this disk have only their name and a manifest's entry: requests to servers for all parts of a mosaic
+    take longer than reading some of them.
+    """
     from orograph.dem.whole.files import absolute, on_disk
 
-    said = []
+    texts = []
     for name in names:
         try:
             found = on_disk(name).stat()
         except (OSError, ValueError):
-            told = known(name)  # (a newly signed address means the same file)
-            said.append(public(name) if told is None else f"{public(name)} {told.size} {told.time_ns} {told.etag}")
+            state = known(name)  # (a newly signed address means the same file)
+            texts.append(public(name) if state is None else f"{public(name)} {state.size} {state.time_ns} {state.etag}")
         else:
-            said.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
-    return said
+            texts.append(f"{absolute(name)} {found.st_size} {found.st_mtime_ns}")
+    return texts

@@ -19,7 +19,7 @@ from orograph._numba import kernel
 from orograph.errors import UsageError
 
 MOST_BITS = 18
-"""Of fractions of a sample."""
+"""Maximum bits of fractions of a sample."""
 
 SIDE_BITS = 30
 """Places along the lattice's side, as a power of two: products of differences fit int64."""
@@ -52,10 +52,11 @@ class Surface(NamedTuple):
 
 
 class Merged(NamedTuple):
-    """Points on the lattice, each place once, and what became of the others.
+    """Points on the lattice, each place once, and counts of the merged ones.
 
     Attributes:
-        doubled: points at the place of another. apart: metres between heights at one place, the most.
+        doubled: points at the place of another.
+        apart: largest difference of heights at one place, metres.
     """
 
     x: Ints
@@ -127,9 +128,9 @@ def sides(surface: Surface, across: tuple[float, float]) -> NDArray[np.float64]:
 def without_slivers(surface: Surface) -> NDArray[np.int32]:
     """The triangles (m, 3) of a surface without the slivers along its rim.
 
-    A sliver has a side on the rim, and opposite to it a corner wider than ``SLIVER``. It joins points of the hull that
-    have nothing to do with each other, and stands like a wall. What a sliver covered is peeled in turn. Long triangles
-    between the tracks of a survey are none: their corners opposite the rim are about right angles.
+    A sliver has a side on the rim, and an opposite corner wider than ``SLIVER``. It joins unrelated points of the hull,
+    and stands like a wall. The triangles behind a removed sliver are then tested in turn. Long triangles between the
+    tracks of a survey are not slivers: their corners opposite the rim are about right angles.
     """
     t = surface.triangles
     ends = np.stack([t[:, [1, 2]], t[:, [2, 0]], t[:, [0, 1]]], 1)  # (m, 3, 2): the sides opposite the corners

@@ -1,6 +1,6 @@
-"""The lines of a manifest (``dem.manifest``): what it says of each file.
+"""The lines of a manifest (``dem.manifest``), one for each file.
 
-A line is made by opening the file, or, of a source that is open already, without looking at the file again.
+A line is made by opening the file, or from an open source without accessing the file again.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def described(line: Line, options: Mapping[str, Any], folder: Path | None) -> De
 
 
 def brief(source: Source, options: Mapping[str, Any]) -> str:
-    """A line for another process, in any folder, of a source that is open already; servers are not asked.
+    """A line for another process, in any folder, from an open source; servers are not asked.
 
     Args:
         options: with which it was opened.
@@ -63,7 +63,7 @@ def brief(source: Source, options: Mapping[str, Any]) -> str:
 
 
 def _facts(path: str, source: Source, header: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """What a manifest tells people and programs of a file."""
+    """A file's facts in a manifest, for people and programs."""
     grid, state = source.grid, (*header["files"], ["", None, None])[0][1:]
     return {
         "path": _said(path, folder),
@@ -80,26 +80,27 @@ def _facts(path: str, source: Source, header: Mapping[str, Any], folder: Path) -
     }
 
 
-def _checked(said: dict[str, Any], source: Source, header: Mapping[str, Any]) -> dict[str, Any]:
-    """What is said of a file, with its header and a checksum if these are enough to read it."""
+def _checked(facts: dict[str, Any], source: Source, header: Mapping[str, Any]) -> dict[str, Any]:
+    """A file's facts with its header and a checksum, if these are enough to read it."""
     # A VRT's parts count too, and may come and go: it is opened whenever it is used.
     if source.driver in ("VRT", "Zarr") or not _same(
         source, source_of(source.path, source.location, json.loads(json.dumps(header)), Seen(()))
     ):
-        return said
-    said = {**said, "header": header}
-    return {**said, "check": checksum(said)}
+        return facts
+    facts = {**facts, "header": header}
+    return {**facts, "check": checksum(facts)}
 
 
 def _header(
     source: Source, unusual: Mapping[str, Any], called: Callable[[str], str], before: State | None = None,
     ask: bool = True,
 ) -> dict[str, Any]:  # fmt: skip
-    """What is needed to read a file without reading its header.
+    """The data needed to read a file without reading its header.
 
     Args:
-        called: a file's name as it is written. before: the server's answer before it was opened.
-        ask: servers for what else is not known.
+        called: a file's name as it is written.
+        before: the server's answer before it was opened.
+        ask: request the state of further files from servers.
     """
     names = files_of(source.location)
     states: list[Sequence[Any]] = list(Seen(names).states())
@@ -125,7 +126,7 @@ def _header(
 
 
 def _same(one: Source, other: Source) -> bool:
-    """Whether two sources read alike."""
+    """Whether two sources read the same samples."""
     mine, theirs = one.grid, other.grid
     if (mine.shape, mine.transform[:6]) != (theirs.shape, theirs.transform[:6]) or not _same_crs(mine.crs, theirs.crs):
         return False
@@ -168,9 +169,9 @@ def _footprint(grid: Grid) -> dict[str, Any] | None:
     return {"type": "Polygon", "coordinates": [ring]}
 
 
-def _row(geometry: Mapping[str, Any] | None, said: Mapping[str, Any]) -> str:
+def _row(geometry: Mapping[str, Any] | None, facts: Mapping[str, Any]) -> str:
     return json.dumps(
-        {"type": "Feature", "geometry": geometry, "properties": said}, ensure_ascii=False, allow_nan=False
+        {"type": "Feature", "geometry": geometry, "properties": facts}, ensure_ascii=False, allow_nan=False
     )
 
 
@@ -182,7 +183,7 @@ def _number(value: Any) -> Any:
 
 
 def _said(name: str, folder: Path | None) -> str:
-    """A file's name for a manifest in a folder: relative if it lies below."""
+    """A file's name in a manifest: relative to its folder if it lies below."""
     if folder is None or name.startswith("/vsi") or "://" in name or not Path(name).exists():
         return name
     file, here = Path(name).absolute(), folder.absolute()

@@ -28,9 +28,9 @@ def diagnose(
     """
     axis = vertical_axis(crs) if unit is None else None
     metres = None if axis is None else float(axis.unit_conversion_factor)
-    asked = "" if nodata is None else str(nodata)
+    given = "" if nodata is None else str(nodata)
     return [
-        *impossible_nodata(dataset, band, asked, "The nodata value that was given"),
+        *impossible_nodata(dataset, band, given, "The nodata value that was given"),
         *geotiff.diagnose(dataset, band, nodata, masked, metres),
         *beside.diagnose(dataset, band),
         *virtual_bands.diagnose(dataset, band, nodata=nodata, unit=unit, masked=masked, crs=crs),

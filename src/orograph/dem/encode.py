@@ -2,7 +2,7 @@
 
 ``mapbox``: height = −10000 + 0.1 · (R·65536 + G·256 + B), Mapbox Terrain-RGB v1 (steps of 0.1 m). ``terrarium``: height
 = R·256 + G + B/256 − 32768, Mapzen/AWS Terrain Tiles (steps of 1/256 m). A picture does not declare its encoding, which
-is never guessed. Where an alpha band is 0 there is no height.
+is never guessed. Where an alpha band is 0, the height is missing.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ def drainage(heights: Floats, outlet: NDArray[np.bool_], seed: int, order: Ints,
 
     Args:
         heights: (rows, cols).
-        seed: of the chance by which diagonals are longer or shorter, which keeps rivers on even slopes from running
+        seed: of the random length of diagonals, which keeps rivers on even slopes from running
             parallel in the grid's eight directions (Rho8: Fairfield & Leymarie, *Water Resour. Res.* 27, 1991).
         outlet: (rows, cols): cells at which water leaves; the whole border must be among them.
         order: (rows · cols) int64, overwritten: flat cell indices, every receiver before those that flow to it.

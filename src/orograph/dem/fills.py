@@ -29,11 +29,11 @@ Heights = NDArray[np.float32]
 
 
 def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDOWS) -> list[str]:
-    """Sentences about values of a raster that seem to mean "missing", or codes of classes.
+    """Sentences about values that seem to mean "missing", or to be codes of classes.
 
     Args:
         usual: numbers, as stored, that often mean "missing".
-        windows: how many to look at.
+        windows: how many to examine.
     """
     parts = [p for p in (source.read(*box) for box in _boxes(source.shape, windows)) if np.isfinite(p).any()]
     if not parts:
@@ -47,7 +47,7 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         return [
             f"Its values are a few whole numbers in patches ({shown}): codes of classes (land cover?), not heights."
         ]
-    said = []
+    sentences = []
     ordinary = {_height(source, n) for n in (0, 1, -1, *usual)}
     for i in np.argsort(counts)[::-1][:3]:
         share = counts[i] / values.size
@@ -64,11 +64,11 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         if float(np.quantile(jumps, 0.1)) < max(_LEAST, _JUMP * float(np.median(steps)) if steps.size else 0.0):
             continue
         number = (value / source.unit_factor - source.offset) / source.scale
-        said.append(
+        sentences.append(
             f"{share:.1%} of its heights are exactly {value:g} m, in flat patches, with no other within {gap:,.0f} m "
             + ("." if source.encoding else f"(give `nodata={number:g}` if they are missing).")
         )
-    return said
+    return sentences
 
 
 def _boxes(shape: tuple[int, int], windows: int) -> Iterator[tuple[int, int, int, int]]:
@@ -95,7 +95,7 @@ def _quantiles(values: Heights, counts: NDArray[np.int64], *parts: float) -> lis
 
 
 def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]:
-    """Steps between neighbours that are not ``value``; from it to others; and the share of its pairs that are alike."""
+    """Steps between neighbours without ``value``; from it to others; and the share of its pairs that are equal."""
     plain, border, alike, all_pairs = [], [], 0, 0
     for part in parts:
         for a, b in ((part[1:], part[:-1]), (part[:, 1:], part[:, :-1])):
@@ -109,10 +109,11 @@ def _steps(parts: list[Heights], value: float) -> tuple[Heights, Heights, float]
 
 
 def are_codes(found: Heights, parts: list[Heights]) -> bool:
-    """Whether values are few small integers in patches whose neighbours are unlike those of measured values.
+    """Whether values are few small integers in patches whose neighbours differ more than measured values do.
 
     Args:
-        found: the different ones, in order. parts: 2-D arrays of them; NaN: none.
+        found: the distinct values, in order.
+        parts: 2-D arrays of them; NaN: none.
     """
     if found.size > _CODES or found.size < 3 or found[0] < -1 or found[-1] > 255 or np.any(found != np.round(found)):
         return False

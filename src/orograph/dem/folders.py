@@ -1,8 +1,8 @@
 """Folders of files: the rasters of a folder given as terrain, and the companions of a file.
 
 A folder stands for the rasters in it and below it with the endings of elevation files; the products' companion rasters
-(masks, counts, qualities) are left out. GDAL looks for headers and masks beside each file. Mosaics have thousands of
-files in one folder, so its names are listed once, and kept as long as its modification time is unchanged.
+(masks, counts, qualities) are left out. GDAL looks for headers and masks beside each file. A mosaic may have thousands
+of files in one folder, so its names are listed once, and kept while its modification time is unchanged.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def crowded(location: str) -> bool:
 
 
 def beside(location: str) -> list[str]:
-    """The names beside a file on this disk that match its name but for the ending: headers, masks and the like."""
+    """The companions of a file on this disk: names that match its own except for the ending (headers, masks…)."""
     folder, name = os.path.split(location)
     try:
         changed = os.stat(folder or ".").st_mtime_ns  # noqa: PTH116 (of mosaics thousands at a time)
@@ -116,7 +116,7 @@ def inside(path: str | os.PathLike[str]) -> Inside:
 
 
 def taken(path: str | os.PathLike[str], progress: Progress) -> list[str]:
-    """The files that a path stands for: the rasters of a folder, whose number is reported, or the path itself."""
+    """The files that a path stands for: itself, or the rasters of a folder, whose number is reported."""
     found = inside(path) if is_folder(path) else Inside([], 0)
     if not found.rasters:  # (an empty folder's own error appears when it is opened)
         return [os.fspath(path)]

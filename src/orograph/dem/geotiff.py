@@ -44,7 +44,7 @@ def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, u
             place.
     """
     name = str(dataset.name)
-    if dataset.driver != "GTiff" or not here(name):  # (one that is named as a directory of a file is not looked at)
+    if dataset.driver != "GTiff" or not here(name):  # (a name that selects a directory of a file is not checked)
         return []
     found: list[str] = []
     with stream(name) as file:
@@ -62,10 +62,10 @@ def diagnose(dataset: Any, band: int, asked: float | str | None, masked: bool, u
         if asked is None and not masked and nodata_of(dataset, band, None, dataset.dtypes[band - 1]) is None:
             found += _diagnose_blocks(tiff, first)
         found += _diagnose_images(tiff, first, name)
-    said = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
-    if said is not None and unit is not None and abs(said - unit) > 1e-9:
+    declared = _UNITS.get(keys.get(_VERTICAL_UNITS, 0))
+    if declared is not None and unit is not None and abs(declared - unit) > 1e-9:
         found.append(
-            f"Its tags give heights in a unit of {said:.9g} m (VerticalUnits), but its vertical CRS in one of "
+            f"Its tags give heights in a unit of {declared:.9g} m (VerticalUnits), but its vertical CRS in one of "
             f"{unit:.9g} m, which is used (give `vertical_unit` if the former is right)."
         )
     return found
@@ -80,8 +80,8 @@ def _keys(tiff: TiffFile, first: Directory, name: str) -> dict[int, int]:
     words = tiff.numbers(first, _KEYS)
     keys: dict[int, tuple[int, int, int]] = {}
     for key, place, count, value in words[4 : 4 + 4 * int(words[3])].reshape(-1, 4).tolist() if words.size > 4 else ():
-        said = (place, count, value)
-        if keys.setdefault(key, said) != said:
+        entry = (place, count, value)
+        if keys.setdefault(key, entry) != entry:
             raise ReadError(
                 f"A key of its CRS occurs twice ({key}: {keys[key][2]} and {value}).", path=name,
                 remedy="Rewrite it with the right CRS (gdal_translate -a_srs EPSG:CODE).",

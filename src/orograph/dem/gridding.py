@@ -92,7 +92,7 @@ class PointRaster:
 
         Args:
             crs: projected CRS of the terrain; by default the points' own, or their UTM zone.
-            resolution: metres between samples; by default as far as the points are apart on average.
+            resolution: metres between samples; by default the mean distance of the points.
             max_edge: metres: triangles with a longer side are left out, and slivers along the rim
                 (``delaunay.without_slivers``); None: slivers only; infinite: all count.
             height_column, point_layer, point_classes, assume_crs, vertical_unit, assume_vertical: as of
@@ -119,7 +119,7 @@ class PointRaster:
         return made
 
     def made(self) -> dict[str, NDArray[Any]]:
-        """What takes long to make of a file: for other processes (``taken_over``)."""
+        """The costly part of opening a file, for other processes (``taken_over``)."""
         grid = self.grid
         about = {
             "name": self.name, "vertical": self.vertical, "said": self._said, "bits": self.bits,
@@ -134,7 +134,7 @@ class PointRaster:
 
     @classmethod
     def taken_over(cls, made: Mapping[str, NDArray[Any]], path: str) -> PointRaster:
-        """The raster that another process has made of a file, which lies at ``path`` for this one."""
+        """The raster that another process made from a file, whose path in this process is ``path``."""
         about = json.loads(made["about"].tobytes())
         found = object.__new__(cls)
         found.path, found.name, found.vertical = path, about["name"], about["vertical"]
@@ -245,7 +245,7 @@ def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS |
 
 
 def _usual(spacing: float, points: Scattered) -> float:
-    """A distance of two digits."""
+    """A distance rounded to two digits."""
     return float(f"{spacing:.2g}") if spacing > 0 else 1.0
 
 

@@ -66,11 +66,11 @@ class Seen:
         self._files = [(name, str(path), _stamp(path)) for name in dict.fromkeys(names) for path in (on_disk(name),)]
 
     def states(self) -> list[tuple[int | None, int | None]]:
-        """Size and time of change (ns) of each file then; None, None of what is not on this disk."""
+        """Size and modification time (ns) of each file when seen; None, None for files not on this disk."""
         return [(None, None) if stamp is None else (stamp[1], stamp[0]) for *_, stamp in self._files]
 
     def changed(self) -> str | None:
-        """The first of them that has changed; None if none has."""
+        """The first file that has changed; None if none has."""
         return next((name for name, path, stamp in self._files if _stamp(path) != stamp), None)
 
 
@@ -80,9 +80,12 @@ def bounded_cache() -> dict[str, Any]:
 
 
 def _settings(location: str) -> dict[str, Any]:
-    """Settings for GDAL: damaged JPEGs and wrong DTED checksums are errors; text is read as doubles, whatever its first
-    lines look like; vertical datums of GeoTIFF 1.0 count too; VRTs do not share their parts, since one that could not
-    be opened once would be 0 in all of them, even when it is back."""
+    """Settings for GDAL.
+
+    Damaged JPEGs and wrong DTED checksums are errors. Text is read as doubles, whatever its first lines look like.
+    Vertical datums of GeoTIFF 1.0 count. VRTs do not share their parts, because a part that could once not be opened
+    would be 0 in all of them, even when it is back.
+    """
     return {
         "VRT_SHARED_SOURCE": "0", "GTIFF_REPORT_COMPD_CS": True,
         "GDAL_ERROR_ON_LIBJPEG_WARNING": True, "DTED_VERIFY_CHECKSUM": True, "AAIGRID_DATATYPE": "Float64",
@@ -137,7 +140,7 @@ class Handles:
                 raise ReadError(
                     f"Its header cannot be understood ({' '.join(str(error).split())}).", path=location, remedy=DAMAGED
                 ) from None
-            except CPLE_BaseError as error:  # of what rasterio asks for a header's parts, which it lets pass
+            except CPLE_BaseError as error:  # while rasterio reads optional parts of a header, where it ignores errors
                 dataset.close()
                 raise ReadError(f"GDAL cannot read it: {cause_of(error)}", path=location, remedy=DAMAGED) from None
             except BaseException:
@@ -177,8 +180,7 @@ def is_manifest(path: str | os.PathLike[str]) -> bool:
 
 
 def locate(path: str | os.PathLike[str]) -> str:
-    """What GDAL should open for ``path``: the raster inside a .zip, .tar or .gz, else the path itself (URLs pass
-    through).
+    """GDAL's name for ``path``: the raster inside a .zip, .tar or .gz, else the path itself (URLs pass through).
 
     Raises:
         ReadError: there is no such file, it is a directory, or an archive holds no or several rasters.
@@ -218,8 +220,11 @@ def locate(path: str | os.PathLike[str]) -> str:
 
 
 def _in_tar(file: Path, name: str) -> str:
-    """GDAL's name of a member of a tar: the one in its plain header if GDAL does not read the extended name (PAX),
-    which alone can hold non-ASCII letters."""
+    """GDAL's name of a member of a tar.
+
+    It is the name in the plain header if GDAL does not read the extended header (PAX), which alone can hold non-ASCII
+    letters.
+    """
     from orograph.dem.whole.files import plain_name
 
     location = f"/vsitar/{{{file.as_posix()}}}/{name}"

@@ -92,8 +92,10 @@ _FAR = 1e13
 
 
 def _transform_of(dataset: Any) -> Affine:
-    """The geotransform of a dataset. For a PNM without a world file, GDAL returns uninitialised memory and ignores the
-    .aux.xml beside it."""
+    """The geotransform of a dataset.
+
+    For a PNM without a world file, GDAL returns uninitialised memory and ignores the .aux.xml beside it.
+    """
     if dataset.driver == "netCDF":
         return transform_of(dataset)
     beside = [str(name) for name in dataset.files[1:]]
@@ -129,7 +131,7 @@ def _refuse_impossible(dataset: Any, transform: Affine) -> None:
 
 
 def oriented(shape: tuple[int, int], transform: Affine, crs: CRS | None) -> Place:
-    """The place of samples that a geotransform gives; CRSs that are compound lose their vertical part.
+    """The place of samples from a geotransform; compound CRSs lose their vertical part.
 
     Raises:
         ValueError: the transform is degenerate.
@@ -235,7 +237,7 @@ def crs_datum(crs: CRS | None) -> str | None:
     if crs is not None and crs.is_compound and len(crs.sub_crs_list) > 1:
         # "NAVD88 height (ftUS)" becomes NAVD88 height once it is in metres
         name = re.sub(r" \((ft|ftUS|m|cm)\)$", "", str(crs.sub_crs_list[1].name))
-        return re.sub(r" depth$", " height", name)  # which it is once its sign is changed (unit_of)
+        return re.sub(r" depth$", " height", name)  # which it becomes once its sign is changed (unit_of)
     if crs is not None and len(crs.axis_info) == 3 and (crs.is_geographic or crs.is_projected):
         return ELLIPSOIDAL
     return None
@@ -280,18 +282,19 @@ def assumed_vertical(text: str) -> str:
     )
 
 
-def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warnings: list[str]) -> float:
-    """Metres per unit of the (scaled) values: the requested unit, else the band's unit tag, else the .prj beside it,
-    else the vertical axis of the CRS. Negative for depths, unless a unit is requested.
+def unit_of(dataset: Any, band: int, crs: CRS | None, unit: str | None, warnings: list[str]) -> float:
+    """Metres per unit of the (scaled) values; negative for depths, unless a unit is requested.
+
+    In this order: the requested unit, the band's unit tag, the .prj beside it, the vertical axis of the CRS.
 
     Raises:
         UsageError: the requested unit is unknown.
     """
-    if asked is not None:
-        factor = metres_per(asked)
+    if unit is not None:
+        factor = metres_per(unit)
         if factor is None:
             known = ", ".join(sorted({min((n for n, f in METRES.items() if f == v), key=len) for v in METRES.values()}))
-            raise UsageError(f"{asked!r} is not a known unit of length (known: {known} and their full names).")
+            raise UsageError(f"{unit!r} is not a known unit of length (known: {known} and their full names).")
         return factor
     axis = vertical_axis(crs)
     by_crs = float(axis.unit_conversion_factor) if axis is not None and axis.unit_conversion_factor > 0 else None
@@ -302,14 +305,14 @@ def unit_of(dataset: Any, band: int, crs: CRS | None, asked: str | None, warning
             "Its numbers are depths and become heights below 0 (give `vertical_unit` if they are not depths)."
         )
     tag = unit_tag(dataset, band) or unit_of_heights(dataset)
-    said = metres_per(tag) if tag else None
-    if tag and said is None:
+    tagged = metres_per(tag) if tag else None
+    if tag and tagged is None:
         warnings.append(f"The unit of its values is {tag!r}, which is not a length: are these heights?")
-    if said is not None and by_crs is not None and abs(said - by_crs) > 1e-6:
+    if tagged is not None and by_crs is not None and abs(tagged - by_crs) > 1e-6:
         warnings.append(
             f"It says that heights are in {tag}, but its CRS has another unit ({by_crs:.9g} m): {tag} is used."
         )
-    return sign * (said or by_crs or 1.0)
+    return sign * (tagged or by_crs or 1.0)
 
 
 def vertical_axis(crs: CRS | None) -> Any:

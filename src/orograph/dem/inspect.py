@@ -69,7 +69,7 @@ def doubtful_heights(source: Source, low: float, high: float, windows: int = WIN
     """``suspicions`` about the heights alone, where only the lowest and the highest are known (metres).
 
     Args:
-        windows: of the raster that are read to look for fills; 0: none.
+        windows: how many to read to look for fills; 0: none.
     """
     return _about_heights(source, Statistics(low, high, 1.0, math.nan, True), windows)
 
@@ -79,68 +79,68 @@ def _about_place(source: Source) -> list[str]:
     if crs is None:
         return []
     west, south, east, north = grid.bounds()
-    said: list[str] = []
+    findings: list[str] = []
     if crs.is_geographic:
         if west < -360.5 or east > 540.5 or south < -91 or north > 91:
-            said.append(
+            findings.append(
                 f"Its CRS is in degrees, but its coordinates reach {max(map(abs, (west, south, east, north))):,.0f}: "
                 "the CRS is wrong."
             )
         elif east > 180 + abs(grid.transform.a) and west < 180:
-            said.append(f"Its longitudes run from {west:.6g}° to {east:.6g}°, across 180° E.")
-        return said
+            findings.append(f"Its longitudes run from {west:.6g}° to {east:.6g}°, across 180° E.")
+        return findings
     factor = _unit(crs)
     if abs(factor - 1) > 1e-9:
         name = crs.axis_info[0].unit_name if crs.axis_info else "unit"
         if source.unit_factor == 1 and not source.unit and 0.3 < factor < 0.31:
-            said.append(
+            findings.append(
                 f"Its CRS is in feet ({name}), but the unit of its heights is not declared: assumed to be metres "
                 '(give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
             )
         else:
-            said.append(f"Its CRS is in units of {factor:.9g} m ({name}).")
+            findings.append(f"Its CRS is in units of {factor:.9g} m ({name}).")
     if "Pseudo-Mercator" in crs.name or crs.to_epsg() == 3857:
         stretch = _mercator_stretch(grid)
         if stretch > 1.02:
-            said.append(
+            findings.append(
                 f"It is in Web Mercator, whose metres are up to {stretch:.2f} times too long here: distances and "
                 "relief are distorted (give `crs` of a UTM zone to build or render)."
             )
-    return said
+    return findings
 
 
 def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) -> list[str]:
-    said: list[str] = []
+    findings: list[str] = []
     if min(source.shape) < 2:
-        said.append("It has one row or column of samples; a surface needs at least two of each.")
+        findings.append("It has one row or column of samples; a surface needs at least two of each.")
     low, high = found.low, found.high
     for value in sorted(source.undeclared):
-        said.append(f"It contains the number {value:g}, undeclared as nodata: treated as missing.")
+        findings.append(f"It contains the number {value:g}, undeclared as nodata: treated as missing.")
     if math.isnan(low):
-        said.append("None of its samples is valid." if found.exact else "No valid sample was found.")
-        return said
+        findings.append("None of its samples is valid." if found.exact else "No valid sample was found.")
+        return findings
     word = _not_heights(source)
     if word:
-        said.append(f"It is called {word!r}, which does not suggest heights.")
+        findings.append(f"It is called {word!r}, which does not suggest heights.")
     undeclared = [n for n in _USUAL_NODATA if _is(source, n, low) or _is(source, n, high)]
     for number in undeclared:
         which = "lowest" if _is(source, number, low) else "highest"
-        said.append(
+        findings.append(
             f"Its {which} stored number is {number}, a usual nodata value that it does not declare "
             f"(give `nodata={number}` if it means missing)."
         )
     if low == high:
-        said.append(f"All its valid heights are {low:g} m.")
+        findings.append(f"All its valid heights are {low:g} m.")
     if found.valid_fraction < 0.5:
-        said.append(f"{1 - found.valid_fraction:.0%} of its samples are missing.")
+        findings.append(f"{1 - found.valid_fraction:.0%} of its samples are missing.")
     if source.picture:
-        return said
+        return findings
     if not undeclared:
-        said.extend(_about_units(source, found))
-        said.extend(suspected_fills(source, _USUAL_NODATA, windows) if windows else [])
+        findings.extend(_about_units(source, found))
+        findings.extend(suspected_fills(source, _USUAL_NODATA, windows) if windows else [])
     if source.dtype in ("uint8", "int8") and source.encoding is None and source.scale == 1 and source.bands < 3:
-        said.append("Its numbers have 8 bits: heights in steps of a metre at best, or shades of a picture.")
-    return said
+        findings.append("Its numbers have 8 bits: heights in steps of a metre at best, or shades of a picture.")
+    return findings
 
 
 def _about_units(source: Source, found: Statistics) -> list[str]:
@@ -154,12 +154,12 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
         ]
     if source.driver in _GEOID_FORMATS or {"geoid", "undulation"} & set(_words(source.description)):
         return ["It is a geoid grid: heights of a geoid above the ellipsoid (for `geoid`), not of the ground."]
-    said: list[str] = []
+    findings: list[str] = []
     words = re.findall(r"(?<![a-z0-9])[a-z]+", source.name.lower())  # 2km is a spacing
     word = next((word for word in words if word in _UNIT_WORDS), None)
     if word is not None and source.unit_factor == 1 and not source.unit:
         unit = _UNIT_WORDS[word]
-        said.append(
+        findings.append(
             f"Its name says {word!r}, but the unit of its heights is not declared: assumed to be metres (give "
             f"`vertical_unit={unit!r}` if they are not)."
         )
@@ -167,25 +167,25 @@ def _about_units(source: Source, found: Statistics) -> list[str]:
     if on_earth and (high > _HIGHEST or low < _DEEPEST):
         worst = high if high > _HIGHEST else low
         than = "higher than Mount Everest" if high > _HIGHEST else "deeper than any ocean"
-        said.append(
+        findings.append(
             f"Its heights reach {worst:,.0f} m, {than}: are they in feet or centimetres "
             '(`vertical_unit="ft"` or `vertical_unit="cm"`), or is there an undeclared nodata value (`nodata`)?'
         )
     dx, dy = spacing_metres(source.grid)
     extent = max(dx * source.grid.cols, dy * source.grid.rows)
     if found.slope > 2:
-        said.append(
+        findings.append(
             f"From sample to sample it rises or falls {found.slope:.3g} times the spacing on average, steeper than "
             "any landscape: the declared spacing or unit of heights is wrong"
             + ("." if source.georeferenced else " (give `spacing=METRES`).")
         )
     elif 0 < high - low < 1e-4 * extent and extent > 1000 and low > _FLOOR_KM and high < _TOP_KM:
-        said.append(
+        findings.append(
             f"Its heights span only {high - low:.3g} m over {extent / 1000:,.3g} km: are they in kilometres or degrees?"
         )
     if low >= -180 and high <= 360 and source.encoding is None and _looks_like_coordinates(source):
-        said.append("Its values change evenly from sample to sample: are they longitudes or latitudes in degrees?")
-    return said
+        findings.append("Its values change evenly from sample to sample: are they longitudes or latitudes in degrees?")
+    return findings
 
 
 def _looks_like_coordinates(source: Source) -> bool:

@@ -1,7 +1,6 @@
-"""One lattice of sources as a layer of a mosaic: how it is resampled to the target grid, and how much of it a window
-needs.
+"""One lattice of sources as a layer of a mosaic: how it is resampled to the target grid, and what a window needs.
 
-A lattice whose samples are the target's is copied at a whole offset; any other is resampled at exact coordinates, after
+A lattice with the target's samples is copied at a whole offset. Any other is resampled at exact coordinates, after
 averaging blocks of its samples if the target is coarser. Units: samples.
 """
 
@@ -59,7 +58,7 @@ def layer_of(lattice: SourceLattice, target: Grid, resampling: str) -> LatticeMa
 
 
 def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
-    """(rows, cols) of source samples to average: how many lie between target samples, at the source's centre."""
+    """(rows, cols) of source samples to average: those between two target samples, at the source's centre."""
     back = Coordinates(grid, coordinates.target)
     col, row = back.exact(np.array([(grid.cols - 1) / 2]), np.array([(grid.rows - 1) / 2]))
     if not np.isfinite(col + row).all():
@@ -73,10 +72,10 @@ def _blocks(coordinates: Coordinates, grid: Grid) -> tuple[int, int]:
 
 
 def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, int]:
-    """Target rows and columns that may lie within a source grid, generously: the rest need not be checked.
+    """Target rows and columns that may lie within a source grid, with a margin.
 
     Args:
-        points: of the source that are looked at, each way.
+        points: probes of the source along each axis.
     """
     t = np.linspace(-0.5, 0.5, points)
     s, d = np.meshgrid(t, t)
@@ -92,7 +91,7 @@ def box_of(grid: Grid, target: Grid, points: int = 65) -> tuple[int, int, int, i
 
 
 def reaches(layer: LatticeMap, target: Grid) -> Iterator[tuple[Raster, tuple[int, int, int, int]]]:
-    """The members of a layer, with the rows and columns of the target (half-open) that each may decide, generously."""
+    """The members of a layer, with the target's rows and columns (half-open) that each may affect, with a margin."""
     lattice = layer.lattice
     assert isinstance(lattice, Lattice)
     for member, (top, bottom, left, right) in zip(lattice.members, lattice.corners.tolist(), strict=True):
@@ -126,7 +125,7 @@ def averaged(layer: LatticeMap, row0: int, row1: int, col0: int, col1: int) -> H
 
 
 def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | None:
-    """Rows and columns of the (averaged) lattice that a window needs, with what the kernels look at around them."""
+    """Rows and columns of the (averaged) lattice that a window needs, including the neighbours that kernels read."""
     bounds = mesh.bounds()
     if bounds is None:
         return None
@@ -140,7 +139,7 @@ def needed(layer: LatticeMap, mesh: NodeMesh) -> tuple[int, int, int, int] | Non
 
 
 def filled(method: str, layers: Sequence[LatticeMap], row0: int, row1: int, col0: int, col1: int) -> Heights:
-    """A window of the target: from the first lattice, and where that has no value from the next; NaN where none has."""
+    """A window of the target from the first lattice, its gaps filled from the next ones; NaN where none has a value."""
     out = np.full((row1 - row0, col1 - col0), np.nan, np.float32)
     for i, layer in enumerate(layers):
         a, b = max(row0, layer.box[0]), min(row1, layer.box[1])

@@ -48,7 +48,7 @@ class Line(NamedTuple):
     """One file of a manifest.
 
     Attributes:
-        path: of the file. said: its other properties.
+        path: of the file. said: the line's other properties.
         folder: of the manifest, or its address, which paths are relative to; None: they are as they were given.
     """
 
@@ -140,7 +140,7 @@ def open_named(path: str, options: Mapping[str, Any], whole: bool) -> Source:
     """A file by its own name, without a manifest.
 
     Args:
-        whole: raise ReadError if it was cut off. (Of a single file the first window that lacks samples is told.)
+        whole: raise ReadError if it was cut off. (A single file's error names the first window that lacks samples.)
     """
     know_state(path, None)
     source = Source.open(path, **options)

@@ -48,16 +48,16 @@ def is_nodata(raw: NDArray[Any], nodata: float | int) -> NDArray[np.bool_]:
     return missing
 
 
-def nodata_of(dataset: Any, band: int, asked: float | str | None, dtype: str) -> float | int | None:
+def nodata_of(dataset: Any, band: int, given: float | str | None, dtype: str) -> float | int | None:
     """The nodata number in the band's own type; None if there is none, or it cannot occur in that type."""
-    if isinstance(asked, str):
-        if asked.strip().lower() == "none":
+    if isinstance(given, str):
+        if given.strip().lower() == "none":
             return None
         try:
-            asked = int(asked) if asked.strip().lstrip("+-").isdigit() else float(asked)
+            given = int(given) if given.strip().lstrip("+-").isdigit() else float(given)
         except ValueError:
-            raise UsageError(f"The nodata value must be a number or 'none', not {asked!r}.") from None
-    value = _declared(dataset, band, dtype) if asked is None else asked
+            raise UsageError(f"The nodata value must be a number or 'none', not {given!r}.") from None
+    value = _declared(dataset, band, dtype) if given is None else given
     if value is None:
         return None
     if isinstance(value, int) and abs(value) >= 1 << 64:
@@ -93,18 +93,18 @@ _NUMBER = re.compile(r"[+-]?(?:nan|inf(?:inity)?|1\.#\w+|(?:\d+\.?\d*|\.\d+)(?:e
 
 def check_text(dataset: Any, text: str | None) -> None:
     """Raise ReadError if a GeoTIFF's nodata value is not a number: GDAL would use its beginning, or 0."""
-    said = None if text is None else text.partition("\0")[0].strip()
-    if said and not _NUMBER.fullmatch(said.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", said) else said):
+    value = None if text is None else text.partition("\0")[0].strip()
+    if value and not _NUMBER.fullmatch(value.replace(",", ".") if re.fullmatch(r"[+-]?\d+,0*", value) else value):
         raise ReadError(
-            f"Its nodata value ({said!r}) is not a number.", path=dataset.name,
+            f"Its nodata value ({value!r}) is not a number.", path=dataset.name,
             remedy="Give the number that means missing: `nodata=N`, or none.",
         )  # fmt: skip
 
 
 def is_default_fill(dataset: Any, band: int) -> bool:
     """Whether a nodata value of 0 is just Zarr's default fill value, for unwritten chunks."""
-    said = {**dataset.tags(), **dataset.tags(band)}
-    return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in said)
+    tags = {**dataset.tags(), **dataset.tags(band)}
+    return bool(dataset.driver == "Zarr" and dataset.nodatavals[band - 1] == 0 and "_FillValue" not in tags)
 
 
 def nodata_text(dataset: Any, band: int) -> str | None:
@@ -163,11 +163,11 @@ def _tag(file: IO[bytes], wanted: int) -> str | None:
     return None
 
 
-def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:
-    """Where else missing samples are marked: GDAL's mask (mask bands, alpha, ISIS special pixels), or an alpha band
-    of floats.
+def mask_of(dataset: Any, band: int, given: float | str | None) -> tuple[Literal["none", "gdal", "alpha"], int]:
+    """Where else missing samples are marked: by GDAL's mask or a floating-point alpha band.
 
-    GDAL ignores an alpha band that is not of integers (Spearfish: float32), hence the second kind.
+    GDAL's mask covers mask bands, alpha, and ISIS special pixels. It ignores alpha bands that are not integers
+    (Spearfish: float32), hence the second kind.
     """
     from rasterio.enums import ColorInterp, MaskFlags
 
@@ -179,8 +179,8 @@ def mask_of(dataset: Any, band: int, asked: float | str | None) -> tuple[Literal
         if alphas and band not in alphas:
             return "alpha", alphas[0]
         return "none", 0
-    if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or asked is not None):
-        return "none", 0  # only the nodata value, which is compared here
+    if MaskFlags.nodata in flags and (flags == {MaskFlags.nodata} or given is not None):
+        return "none", 0  # only the nodata value, which is compared in this module
     if dataset.count < 100 and dataset.colorinterp[band - 1] == ColorInterp.alpha:
         return "none", 0
     return "gdal", 0

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 
-from orograph.dem.area import Area, said
+from orograph.dem.area import Area, recorded
 from orograph.dem.deciding import files_of, states
 from orograph.dem.lattice import Lattice, Raster, SourceLattice, group
 from orograph.dem.layers import filled, layer_of, reaches
@@ -42,8 +42,8 @@ from orograph.progress import SILENT, Progress
 if TYPE_CHECKING:
     from orograph.dem.manifest import Line
 
-UNEVEN = 1.1  # ratio of scales within a kept projection that is worth one, too
-FALSE_SCALE = 0.01  # scale error of a kept projection from which on it is worth a warning
+UNEVEN = 1.1  # ratio of scales within a kept projection that is also worth a warning
+FALSE_SCALE = 0.01  # scale error of a kept projection that is worth a warning
 
 Heights = NDArray[np.float32]
 
@@ -138,7 +138,7 @@ class Mosaic:
             "crs": None if wanted is None else wanted.to_wkt(),
             "resolution": resolution,
             "to_vertical": to_vertical,
-            **({} if area is None else {"bbox": area.box, "clip": said(clip)}),
+            **({} if area is None else {"bbox": area.box, "clip": recorded(clip)}),
             **(options or {}),
         }
         self._gather_warnings()
@@ -233,8 +233,9 @@ class Mosaic:
         return out
 
     def heights_at(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.float64]:
-        """Heights (n,) at places (n,) in the grid's CRS from the sources' own samples, bilinear on their own lattice
-        (not on the grid, to which they may have been resampled); NaN where there are none.
+        """Heights (n,) at places (n,) in the grid's CRS from the sources' own samples; NaN where there are none.
+
+        They are bilinear on each source's own lattice, not on the grid, to which samples may have been resampled.
 
         Raises:
             ReadError: a source is damaged there.
@@ -253,23 +254,29 @@ class Mosaic:
 
     @property
     def windows(self) -> list[tuple[int, int, int, int]]:
-        """For each source the rows and columns of the grid (half-open) that it may affect, generously."""
+        """For each source, the rows and columns of the grid (half-open) that it may affect, with a margin."""
         found = {id(member): window for layer in self._layers for member, window in reaches(layer, self.grid)}
         return [found[id(source)] for source in self.sources]
 
     def fingerprint(self) -> str:
-        """A hash of all files (``deciding.files_of``: absolute path, size, modification time) and all options: if it is
-        equal, so are the samples."""
-        said: list[str] = [repr(sorted(self._options.items(), key=str)), self.resampling, repr(self.grid.transform[:6])]
-        said += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
+        """A hash of all files and all options: equal hashes mean equal samples.
+
+        Files count by absolute path, size and modification time (``deciding.files_of``).
+        """
+        parts: list[str] = [
+            repr(sorted(self._options.items(), key=str)),
+            self.resampling,
+            repr(self.grid.transform[:6]),
+        ]
+        parts += [repr(self.grid.shape), "" if self.grid.crs is None else self.grid.crs.to_wkt()]
         for source in self.sources:
             location = getattr(source, "location", None)
-            said += states([getattr(source, "path", source.name), *(files_of(location) if location else ())])
+            parts += states([getattr(source, "path", source.name), *(files_of(location) if location else ())])
             if (fingerprint := getattr(source, "fingerprint", None)) is not None:  # for sources that are not files
-                said.append(fingerprint())
+                parts.append(fingerprint())
         if self.undulation is not None:
-            said += states([os.fspath(self.undulation.geoid.path)])
-        return hashlib.sha256("\n".join(said).encode()).hexdigest()
+            parts += states([os.fspath(self.undulation.geoid.path)])
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def recipe(self) -> tuple[list[str], dict[str, Any]] | None:
         """Paths and options with which ``open`` makes the same mosaic again; None if a source is no file."""
@@ -347,15 +354,15 @@ class Mosaic:
             )
 
     def _warn_of_datums(self, lattices: Sequence[Lattice]) -> None:
-        """Warn if positions come from another datum by less than the best operation, and that could be visible."""
-        said: dict[str, str] = {}
+        """Warn if another datum was converted by less than the best operation, and the error could be visible."""
+        found: dict[str, str] = {}
         for lattice in lattices:
             if lattice.grid.crs is not None and self.grid.crs is not None:
                 text = approximation(lattice.grid.crs, self.grid.crs, lattice.grid.bounds(), min(self.grid.spacing) / 2)
                 if text is not None:
-                    said.setdefault(text, lattice.members[0].name)
+                    found.setdefault(text, lattice.members[0].name)
         several = len(lattices) > 1
-        self.warnings.extend(f"{name}: {text}" if several else text for text, name in said.items())
+        self.warnings.extend(f"{name}: {text}" if several else text for text, name in found.items())
 
 
 TOLD = 20
@@ -378,6 +385,6 @@ def _count(damaged: Sequence[ReadError], count: int) -> str:
 
 def _listed(damaged: Sequence[ReadError]) -> str:
     """Files with their causes, on separate lines if there are several."""
-    told = [f"{error.path}: {error.what}" for error in damaged[:TOLD]]
+    lines = [f"{error.path}: {error.what}" for error in damaged[:TOLD]]
     more = [f"and {len(damaged) - TOLD} more"] if len(damaged) > TOLD else []
-    return "\n  ".join(["", *told, *more]) if len(damaged) > 1 else told[0]
+    return "\n  ".join(["", *lines, *more]) if len(damaged) > 1 else lines[0]

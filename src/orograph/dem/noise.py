@@ -20,8 +20,8 @@ from orograph._numba import inlined, kernel
 
 Floats = NDArray[np.float64]
 
-JITTER = 0.7  # width of the square in which a feature point lies, of its cell
-REACH = 1.0 + (1.0 - JITTER) / 2  # no feature point outside of the 3 × 3 cells around a position is nearer than this
+JITTER = 0.7  # width of the square that contains a feature point, as a part of its cell
+REACH = 1.0 + (1.0 - JITTER) / 2  # feature points outside the 3 × 3 cells around a position are farther than this
 
 # Taylor coefficients of sin(2πt) about 0; at t = 1/4 the error is below 1e-7.
 _S1, _S3, _S5 = 2 * math.pi, -((2 * math.pi) ** 3) / 6, (2 * math.pi) ** 5 / 120
@@ -63,7 +63,7 @@ def gradient_noise(x: float, y: float, seed: int) -> float:
 def fractal(x: Floats, y: Floats, octaves: int, gain: float, seed: int, out: Floats) -> None:
     """Sum of octaves of gradient noise at positions (x, y), each twice as fine and ``gain`` as high as the last.
 
-    Octaves are turned against each other (by the angle of tangent 3/4), so that their lattices do not add up.
+    Octaves are rotated against each other (by atan 3/4), so that their lattices do not line up.
     """
     for n in range(x.size):
         u, v, height, total = x.flat[n], y.flat[n], 1.0, 0.0

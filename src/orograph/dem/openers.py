@@ -1,8 +1,8 @@
-"""Files opened at once: by threads, or, if they are many, by processes, ``python -m orograph.dem.openers``.
+"""Files opened at once: by threads or, if they are many, by processes (``python -m orograph.dem.openers``).
 
-Opening a file takes Python longer than GDAL, and Python has one processor in each process. So processes open the files
-and answer with lines of a manifest (``dem.describing``), from which this one makes its sources without opening
-anything. They end when all files are told of; what one of them leaves undone is opened here.
+Opening a file takes Python longer than GDAL, and Python uses one processor per process. So child processes open the
+files and answer with lines of a manifest (``dem.describing``), from which the parent makes its sources without opening
+anything. They end after the last file. If one fails, the parent opens its remaining files.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from orograph.parallel import cpu_count, map_ordered
 from orograph.progress import SILENT, Progress
 
 MANY = 1000
-"""Files for which it is worth starting processes, which takes each of them as long as opening some hundred files."""
+"""Number of files from which processes are worth starting: each start takes as long as opening some hundred files."""
 
 MOST = 8
 """Processes at once: each takes some 100 MiB."""
 
 CHUNK = 32
-"""Files that a process is asked for at once."""
+"""Files per request to a process."""
 
 AT_ONCE = 16
 """Files on servers opened at once."""
@@ -46,9 +46,9 @@ class Named(NamedTuple):
     """The result of ``opened``.
 
     Attributes:
-        sources, damaged: the files that could be opened, in order, and the errors of the others. files: how many in
+        sources, damaged: the files that could be opened, in order, and the errors of the others. files: their number in
         all.
-        manifests: whether any of the names was one.
+        manifests: whether any name was that of a manifest.
     """
 
     sources: list[Source]
@@ -60,7 +60,7 @@ class Named(NamedTuple):
 def opened(
     names: Sequence[str | os.PathLike[str] | Line], options: Mapping[str, Any], progress: Progress = SILENT
 ) -> Named:
-    """Open files, those in folders, and those that manifests list (of these only changed ones).
+    """Open files, those in folders, and those that manifests list (only if they have changed).
 
     Args:
         names: also lines of manifests. options: of ``Source.open``. progress: gets reports on the files.
@@ -93,18 +93,19 @@ def opened(
 
 
 def _threads(lines: Sequence[Line]) -> int:
-    """How many files are opened at once."""
+    """How many files to open at once."""
     return AT_ONCE if any(is_remote(line.path) for line in lines[:64]) else cpu_count()
 
 
 def _worthwhile(lines: Sequence[Line], jobs: int) -> bool:
-    """Whether files are many, on this disk, and may be opened at once."""
+    """Whether processes pay off: there are many files, on this disk, and several may be opened at once."""
     return jobs > 1 and len(lines) >= MANY and not any(is_remote(line.path) for line in lines)
 
 
 def _heard(lines: Sequence[Line], options: Mapping[str, Any]) -> Iterator[Line | ReadError]:
-    """Lines, of which those that say nothing yet are told by other processes if they are many, and the errors of files
-    that cannot be opened.
+    """Complete lines of a manifest, and the errors of files that cannot be opened.
+
+    If many lines have only a path, other processes complete them.
 
     Args:
         options: of ``Source.open``.
@@ -113,10 +114,10 @@ def _heard(lines: Sequence[Line], options: Mapping[str, Any]) -> Iterator[Line |
     if not _worthwhile(bare, _threads(lines)):
         yield from lines
         return
-    told = rows(bare, options, None)
-    with contextlib.closing(told):
+    answers = rows(bare, options, None)
+    with contextlib.closing(answers):
         for line in lines:
-            row, error = ("", None) if line.said else next(told)
+            row, error = ("", None) if line.said else next(answers)
             yield error or (line_of(row, None) if row else line)
 
 
@@ -154,7 +155,7 @@ def rows(
 
 
 class _Opener:
-    """One of the processes."""
+    """A child process that opens files."""
 
     def __enter__(self) -> _Opener:
         self._process = piped("orograph.dem.openers")
@@ -168,13 +169,13 @@ class _Opener:
                     pipe.close()
             self._process.wait()
 
-    def ask(self, *asked: object) -> list[Answer]:
-        """The answers to the arguments of ``_answers``; none if the process has ended."""
+    def ask(self, *arguments: object) -> list[Answer]:
+        """Call ``_answers`` in the process; none if it has ended."""
         process: subprocess.Popen[bytes] | None = self._process
         if process is None or process.stdin is None or process.stdout is None:
             return []
         try:
-            pickle.dump(asked, process.stdin)
+            pickle.dump(arguments, process.stdin)
             process.stdin.flush()
             found: list[Answer] = pickle.load(process.stdout)
         except (OSError, EOFError, ValueError, pickle.UnpicklingError):
@@ -183,7 +184,7 @@ class _Opener:
 
 
 def _answers(lines: Sequence[Line], options: Mapping[str, Any], folder: Path | None) -> list[Answer]:
-    """What is said of files; an error that is not of the file ends the answers."""
+    """The lines or errors of files; any other error ends the answers."""
     found: list[Answer] = []
     for line in lines:
         try:
@@ -193,11 +194,11 @@ def _answers(lines: Sequence[Line], options: Mapping[str, Any], folder: Path | N
     return found
 
 
-def _serve(asked: IO[bytes], answers: IO[bytes]) -> None:
-    """Answer until nothing more is asked."""
+def _serve(requests: IO[bytes], answers: IO[bytes]) -> None:
+    """Answer requests until there are no more."""
     with contextlib.suppress(EOFError, BrokenPipeError, KeyboardInterrupt):
         while True:
-            pickle.dump(_answers(*pickle.load(asked)), answers)
+            pickle.dump(_answers(*pickle.load(requests)), answers)
             answers.flush()
 
 

@@ -1,4 +1,4 @@
-"""Heights at single places from a raster's own samples: bilinear between the surrounding four, read block by block.
+"""Heights at single places from a raster's own samples: bilinear between the four around, read block by block.
 
 Missing samples are treated as in ``resample``: a place has a height exactly if its nearest sample has one. Units:
 samples; metres.
@@ -56,7 +56,7 @@ def heights_at(grid: Grid, layers: Sequence[LatticeMap], x: ArrayLike, y: ArrayL
 
     Args:
         grid: of the terrain.
-        layers: its lattices; of several that have a height the first counts.
+        layers: its lattices; the first with a height counts.
     """
     col, row = grid.index(np.atleast_1d(x), np.atleast_1d(y))
     out = np.full(col.shape, np.nan)

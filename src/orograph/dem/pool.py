@@ -1,9 +1,9 @@
-"""Make GDAL's pool forget the parts of VRTs.
+"""Make GDAL's dataset pool forget the parts of VRTs.
 
-The pool belongs to the process and ends with the last VRT that uses it; but a nested VRT keeps it alive for good. From
-then on a part that once could not be opened is silently 0, even when it is back, and a replaced one keeps its old
-content. Filling the pool with other parts makes it forget: as many as it holds, of one sample each, in memory (about 10
-ms).
+The pool belongs to the process and ends with the last VRT that uses it, but a nested VRT keeps it alive for good. From
+then on, a part that could once not be opened is silently 0, even when it is back, and a replaced part keeps its old
+content. Filling the pool with as many other parts as it holds makes it forget; these have one sample each, in memory
+(about 10 ms).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ def is_virtual(location: str) -> bool:
 
 
 def forget_parts() -> None:
-    """Close the parts of VRTs that GDAL holds open, and forget those that it could not open. Safe from any thread."""
+    """Close the parts of VRTs that GDAL holds open, and forget failed ones. Safe from any thread."""
     import rasterio
     from rasterio.io import MemoryFile
 
-    said = os.environ.get("GDAL_MAX_DATASET_POOL_SIZE", "")
-    count = min(max(int(said), 2), 1000) if said.isdigit() else _HELD
+    setting = os.environ.get("GDAL_MAX_DATASET_POOL_SIZE", "")
+    count = min(max(int(setting), 2), 1000) if setting.isdigit() else _HELD
     with rasterio.Env(), MemoryFile(filename=f"{uuid.uuid4().hex}/part.pgm") as memory:
         memory.write(b"P5\n1 1\n255\n\xff")
         size = len(memory.getbuffer())

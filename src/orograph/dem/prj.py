@@ -1,7 +1,7 @@
-"""A .prj beside a raster in Arc's keywords from before WKT: the parts that GDAL ignores.
+"""A .prj beside a raster with Arc's keywords from before WKT: the parts that GDAL ignores.
 
 ``Projection UTM``, ``Zone 33``, ``Zunits FEET``, ``Units METERS``, ``Xshift 0.0``, then ``Parameters``: GDAL makes a
-CRS of it, without the unit of heights and without the shifts.
+CRS from it, without the unit of heights and without the shifts.
 
 Source: ArcInfo's PROJECTDEFINE and PROJECT commands, as their manual lists the keywords.
 """
@@ -19,7 +19,7 @@ _UNITS = {"FEET": "ft", "METERS": "m", "NO": ""}
 
 
 def notes(dataset: Any) -> Path | None:
-    """The .prj beside a raster on this disk; None: there is none."""
+    """The .prj beside a raster on this disk; None if there is none."""
     name = main_file(dataset)
     if not here(name):
         return None
@@ -32,15 +32,15 @@ def unit_of_heights(dataset: Any) -> str:
     Raises:
         ReadError: it shifts coordinates, which GDAL does not do.
     """
-    said = _words(dataset)
+    words = _words(dataset)
     for key in ("XSHIFT", "YSHIFT"):
-        if re.search(r"[1-9]", said.get(key, "")):
+        if re.search(r"[1-9]", words.get(key, "")):
             raise ReadError(
-                f"The CRS beside it says that coordinates are shifted ({key.title()} {said[key]}), which is not "
+                f"The CRS beside it says that coordinates are shifted ({key.title()} {words[key]}), which is not "
                 "supported.",
                 path=notes(dataset), remedy="Move the raster (gdal_translate -a_ullr), then set the shifts to 0.",
             )  # fmt: skip
-    return _UNITS.get(said.get("ZUNITS", "").upper(), "")
+    return _UNITS.get(words.get("ZUNITS", "").upper(), "")
 
 
 def _words(dataset: Any) -> dict[str, str]:

@@ -71,13 +71,13 @@ def in_metres(crs: CRS) -> tuple[CRS, float]:
     factor = crs.axis_info[0].unit_conversion_factor if crs.axis_info else 1.0
     if factor == 1.0:
         return crs, 1.0
-    said = crs.to_json_dict()
-    for axis in said["coordinate_system"]["axis"]:
+    json = crs.to_json_dict()
+    for axis in json["coordinate_system"]["axis"]:
         axis["unit"] = "metre"
     for key in ("id", "ids", "usages"):  # it is no longer the CRS of that code
-        said.pop(key, None)
-    said["name"] = f"{said['name']} in metres"
-    return CRS.from_json_dict(said), factor
+        json.pop(key, None)
+    json["name"] = f"{json['name']} in metres"
+    return CRS.from_json_dict(json), factor
 
 
 def geodetic_base(crs: CRS) -> CRS:

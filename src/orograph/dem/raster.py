@@ -1,6 +1,6 @@
 """One elevation raster in memory: heights in metres with their place, datum and name.
 
-Validity is NaN-ness: a sample that has no height is NaN, and nothing else is. Units: metres, whatever the file had.
+A sample is NaN exactly if it has no height. Units: metres, whatever the file had.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ MEANT = {
     **{name: f"dem.grid.{name}" for name in ("crs", "transform", "shape")},
     **dict.fromkeys(("bounds", "extent"), "dem.grid.bounds()"),
 }
-"""Names of attributes in other libraries, and what to use here."""
+"""Names of attributes in other libraries, and their equivalents here."""
 
 MAX_READ_BYTES = 2 << 30
 """Default maximum bytes of heights (float32): 536 million heights, e.g. 23170²."""

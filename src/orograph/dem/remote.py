@@ -1,9 +1,9 @@
-"""Rasters in buckets and on web servers: settings that make GDAL, which reads them itself, send few requests, retry
-when a server is busy, and find buckets like the stores' reader.
+"""Settings that let GDAL read rasters in buckets and on web servers efficiently.
 
-A raster's ranges are read by ``/vsis3/``, ``/vsigs/``, ``/vsiaz/`` and ``/vsicurl/``, neighbours together. No folder is
-listed: possible companion files are requested by name. Settings of GDAL in the environment, or in an enclosing rasterio
-``Env``, are left alone.
+GDAL sends few requests, retries when a server is busy, and finds buckets as the reader of stores does. It reads a
+raster's ranges by ``/vsis3/``, ``/vsigs/``, ``/vsiaz/`` and ``/vsicurl/``, neighbours together. No folder is listed:
+possible companion files are requested by name. GDAL's settings in the environment, or in an enclosing rasterio ``Env``,
+take precedence.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ def network(location: str) -> dict[str, Any]:
         # Otherwise GDAL requests about forty other names one by one: of sensors, overviews, GCPs.
         found["CPL_VSIL_CURL_ALLOWED_EXTENSIONS"] = ",".join(f"{end[0]}{more}" for more in _BESIDE) + ",.tfw,.wld"
     for name, others in _NAMES.items():
-        said = next((os.environ[other] for other in others if other in os.environ), None)
-        if said is not None:
-            found[name] = said
-    around = getenv() if hasenv() else {}  # readers of a product's tiles know that there are no companions
+        value = next((os.environ[other] for other in others if other in os.environ), None)
+        if value is not None:
+            found[name] = value
+    around = getenv() if hasenv() else {}  # readers of a product's tiles have excluded companions
     return {name: value for name, value in found.items() if name not in os.environ and name not in around}
 
 
 def _endpoint() -> dict[str, Any]:
     """The address of S3, if it is not Amazon's."""
-    said = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
-    if "://" not in said:
+    address = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
+    if "://" not in address:
         return {}
-    cut = urlsplit(said)
+    cut = urlsplit(address)
     return {
         "AWS_S3_ENDPOINT": f"{cut.netloc}{cut.path}".rstrip("/"), "AWS_HTTPS": "NO" if cut.scheme == "http" else "YES",
         "AWS_VIRTUAL_HOSTING": "FALSE",

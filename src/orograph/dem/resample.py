@@ -1,12 +1,12 @@
-"""Kernels that take a value out of a raster at fractional sample positions: nearest, bilinear, cubic; and box means.
+"""Kernels that sample a raster at fractional positions: nearest, bilinear, cubic; and box means.
 
-Missing samples (NaN) neither grow nor shrink: a position has a value exactly if its *nearest* sample is valid, so a
+Missing samples (NaN) neither grow nor shrink: a position has a value exactly if its *nearest* sample is valid. So a
 raster also reaches half a sample beyond its outermost ones, and adjacent rasters of different lattices meet without a
-gap. Where some neighbours are missing, bilinear gives each the value beside it in its row, and a row wholly missing
-the values of the other row; cubic becomes bilinear. Values are computed as ``a + (b - a) t`` in float64, so where all
+gap. If some neighbours are missing, bilinear gives each the value beside it in its row, and a wholly missing row the
+values of the other row; cubic becomes bilinear. Values are computed as ``a + (b - a) t`` in float64, so where all
 neighbours are equal the result is that value to the bit: the sea stays at 0. Cubic is Catmull-Rom (Keys, IEEE ASSP 29,
-1981, a = −1/2), which interpolates and may overshoot. Before sampling coarser than the source, ``box_means`` averages
-blocks of samples, so that nothing aliases. Units: samples in, heights out.
+1981, a = −1/2), which interpolates and may overshoot. Before a source is sampled more coarsely, ``box_means`` averages
+blocks of its samples to avoid aliasing. Units: samples in, heights out.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _bilinear(window: Heights, row0: int, col0: int, u: Floats, v: Floats, out: 
             x, y = u[r, c], v[r, c]
             if not math.isnan(out[r, c]) or not (col0 - 0.5 <= x < col0 + w - 0.5 and row0 - 0.5 <= y < row0 + h - 0.5):
                 continue
-            # The fraction is taken before the window's origin is: it must not depend on the window.
+            # Take the fraction before subtracting the window's origin, so that it does not depend on the window.
             left, top = math.floor(x), math.floor(y)
             s, t = x - left, y - top
             i, j = int(left) - col0, int(top) - row0

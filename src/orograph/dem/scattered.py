@@ -141,10 +141,10 @@ def _settled(
         factor = -factor
         warnings.append(DEPTHS)
     if vertical_unit is not None:
-        asked = metres_per(vertical_unit)
-        if asked is None:
+        metres = metres_per(vertical_unit)
+        if metres is None:
             raise UsageError(f"{vertical_unit!r} is not a unit of length; there are {', '.join(sorted(METRES)[:8])}…")
-        factor = asked
+        factor = metres
     if vertical is None and assume_vertical is not None:
         vertical = assumed_vertical(assume_vertical)
     elif vertical is not None and assume_vertical is not None and assumed_vertical(assume_vertical) != vertical:
@@ -178,7 +178,7 @@ def _settled(
 def _of_columns(
     columns: dict[str, Array], path: str, height: str | None, unit: str | None, warnings: list[str]
 ) -> tuple[Array, Array, Array, CRS | None]:
-    """Places and heights out of columns."""
+    """Places and heights from columns."""
     east, north = places_in(columns, path, "a projected CRS (`assume_crs`)")
     others = {k: v for k, v in columns.items() if k not in (east, north) and np.isfinite(v).any()}
     crs = CRS.from_epsg(4326) if east.lower() in DEGREES else None
@@ -186,11 +186,13 @@ def _of_columns(
 
 
 def _heights(
-    columns: dict[str, Array], asked: str | None, path: str, unit: str | None, warnings: list[str]
+    columns: dict[str, Array], column: str | None, path: str, unit: str | None, warnings: list[str]
 ) -> Array:  # fmt: skip
-    """The column of heights, below 0 where its name says that they are depths; what its name says of their unit that is
-    not followed is warned of."""
-    name = _height_of(columns, asked, path)
+    """The column of heights, negative if its name says that they are depths.
+
+    Warns of a unit in its name that is ignored.
+    """
+    name = _height_of(columns, column, path)
     words = set(re.split(r"[^a-z]+", name.lower()))
     if unit is None and words & {"ft", "feet", "foot", "ftus", "cm", "mm", "km"}:
         warnings.append(
@@ -202,16 +204,16 @@ def _heights(
     return columns[name]
 
 
-def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
-    """Which column holds the heights."""
-    if asked is not None:
-        if asked not in columns:
+def _height_of(columns: dict[str, Array], column: str | None, path: str) -> str:
+    """The name of the column that holds the heights."""
+    if column is not None:
+        if column not in columns:
             there = ", ".join(columns) or "none"
             raise UsageError(
-                f"There is no column {asked!r} with numbers; there are {there}.", path=path,
+                f"There is no column {column!r} with numbers; there are {there}.", path=path,
                 remedy="Name the column that holds heights (`height_column`).",
             )  # fmt: skip
-        return asked
+        return column
     known = [k for word in HEIGHTS for k in columns if k.lower() == word]
     if len(known) > 1:
         raise UsageError(
@@ -233,7 +235,7 @@ def _height_of(columns: dict[str, Array], asked: str | None, path: str) -> str:
 def _of_cloud(
     path: str, classes: Sequence[int] | None, warnings: list[str]
 ) -> tuple[Array, Array, Array, CRS | None]:  # fmt: skip
-    """Points of LAS or LAZ."""
+    """Points from LAS or LAZ."""
     try:
         import laspy
     except ImportError as error:
@@ -249,7 +251,7 @@ def _of_cloud(
             header, crs = reader.header, reader.header.parse_crs()
     except (LaspyException, OSError, ValueError, RuntimeError) as error:
         raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
-    except Exception as error:  # (the decoder's own kind)
+    except Exception as error:  # (the decoder's own exception)
         if type(error).__module__.partition(".")[0] not in ("lazrs", "laspy"):
             raise
         raise ReadError(f"Its points cannot be read: {error}", path=path, remedy="Fetch or make it again.") from error
@@ -257,26 +259,26 @@ def _of_cloud(
     kind = np.asarray(cloud.classification)
     if classes is not None:
         wanted = np.isin(kind, list(classes))
-        told = f"of class {', '.join(map(str, classes))}"
+        which = f"of class {', '.join(map(str, classes))}"
     elif (kind == GROUND).any():
-        wanted, told = kind == GROUND, "of the ground (class 2)"
+        wanted, which = kind == GROUND, "of the ground (class 2)"
     else:
-        wanted, told = ~np.isin(kind, NOISE), "that are not noise (none is classified as ground)"
+        wanted, which = ~np.isin(kind, NOISE), "that are not noise (none is classified as ground)"
     withheld = np.asarray(cloud.withheld).astype(bool) if "withheld" in cloud.point_format.dimension_names else False
     wanted &= ~np.asarray(withheld)
     if not wanted.any() and len(kind):
         there = ", ".join(map(str, np.unique(kind)))
         raise ReadError(
-            f"It has no points {told}; its classes are {there}.", path=path, remedy="Name others: `point_classes`."
+            f"It has no points {which}; its classes are {there}.", path=path, remedy="Name others: `point_classes`."
         )
     if not wanted.all():
-        warnings.append(f"Of its {len(kind):,} points the {int(wanted.sum()):,} {told} are taken (`point_classes`).")
+        warnings.append(f"Of its {len(kind):,} points the {int(wanted.sum()):,} {which} are taken (`point_classes`).")
     places = [np.asarray(axis, np.float64)[wanted] for axis in (cloud.x, cloud.y, cloud.z)]
     return places[0], places[1], places[2], None if crs is None else CRS.from_user_input(crs)
 
 
 def _check_cloud(cloud: Any, header: Any, path: str) -> None:
-    """Raise ReadError unless the points are as many as the header says, where it says (LAS 1.4, section 2.4)."""
+    """Raise ReadError unless there are as many points as the header says, if it does (LAS 1.4, section 2.4)."""
     fault = None
     if len(cloud) != header.point_count:
         fault = f"Its header declares {header.point_count:,} points, and it holds {len(cloud):,}"
@@ -298,7 +300,7 @@ def _check_cloud(cloud: Any, header: Any, path: str) -> None:
 
 
 def _behind(header: Any, path: str) -> int:
-    """Bytes of a LAS behind its points that are no extended records."""
+    """Bytes after a LAS file's points that are not extended records."""
     end = header.offset_to_point_data + header.point_count * header.point_format.size
     extended = getattr(header, "number_of_evlrs", 0) or getattr(header, "start_of_waveform_data_packet_record", 0)
     return 0 if extended else max(Path(locate(path)).stat().st_size - end, 0)
@@ -307,7 +309,7 @@ def _behind(header: Any, path: str) -> int:
 def _of_vectors(
     path: str, height: str | None, layer: str | None, unit: str | None, warnings: list[str]
 ) -> tuple[Array, Array, Array, CRS | None]:
-    """Points of features that OGR reads."""
+    """Points from features that OGR reads."""
     try:
         from pyogrio import list_layers
         from pyogrio.raw import read

@@ -8,7 +8,7 @@ Whatever the file holds, ``Source.read`` gives metres as float32 with NaN where 
 2. height = (number · scale + offset) · metres per unit, in float64, rounded once to float32. Integers beyond 2^24 and
    float64 thereby keep 24 bits: better than 0.001 m for every height on Earth.
 
-Files larger than memory are no trouble to ``Source``; ``read`` refuses them (``MAX_READ_BYTES``).
+``Source`` can handle files larger than memory; ``read`` refuses them (``MAX_READ_BYTES``).
 """
 
 from __future__ import annotations
@@ -71,9 +71,9 @@ class Source:
         driver: GDAL's name of the format.
         description: what the file calls the band, "" if it does not say.
         unit: what the file calls the unit of its numbers, "" if it does not say.
-        attribution: whom its makers want to be named: the file's tag ATTRIBUTION.
+        attribution: the credits that its makers ask for: the file's tag ATTRIBUTION.
         picture: whether its bands are colours or classes rather than heights.
-        valid: what else says which stored numbers are heights (netCDF); None: nothing.
+        valid: further rules for which stored numbers are heights (netCDF); None: there are none.
         undeclared: stored numbers of magnitude 1e12 or more met so far that the file does not declare as nodata.
         warnings: what a user should know, full sentences.
     """
@@ -139,12 +139,14 @@ class Source:
         location = locate(path)
         if is_virtual(location):
             forget_parts()
-        HANDLES.close(location)  # what lies beside it, or in a VRT, may have changed, and an open dataset would not see
+        HANDLES.close(
+            location
+        )  # companions, or a VRT's parts, may have changed, which an open dataset would not notice
         opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
             names = files_in(dataset)
-            opened.append(Seen(names))  # headers, masks and the parts of a VRT, too
+            opened.append(Seen(names))  # including headers, masks and the parts of a VRT
             if dataset.driver not in ("VRT", "Zarr"):
                 know(location, names)
             check_size(dataset, path)
@@ -208,8 +210,10 @@ class Source:
 
     @property
     def code(self) -> tuple[str, float]:
-        """(dtype, nodata) of its numbers where they are whole metres of 8 or 16 bits and a nodata value says which of
-        them are missing; else ("float32", nan), which is what is read of them."""
+        """(dtype, nodata) of its numbers if these are heights themselves; else ("float32", nan), as they are read.
+
+        They are heights if they are whole metres of 8 or 16 bits, and a nodata value marks missing ones.
+        """
         plain = (self.scale, self.offset, self.unit_factor, self.encoding, self.valid) == (1.0, 0.0, 1.0, None, None)
         if plain and self.nodata is not None and self.dtype in ("int8", "uint8", "int16", "uint16"):
             limits = np.iinfo(self.dtype)
@@ -223,8 +227,7 @@ class Source:
         return self.grid.shape
 
     def read(self, row0: int, row1: int, col0: int, col1: int, *, step: int = 1) -> NDArray[np.float32]:
-        """Heights of every ``step``-th sample of the half-open window, from its first: float32 metres, NaN where
-        missing.
+        """Heights of every ``step``-th sample of the half-open window, from its first: float32 metres, NaN if missing.
 
         Safe from any thread. The samples are the file's own, whatever overviews it has.
 
@@ -250,7 +253,7 @@ class Source:
         except ReadError:
             if self.driver == "VRT":
                 forget_parts()
-            self._refuse_changed()  # rather than what is wrong with what it is now
+            self._refuse_changed()  # rather than report a fault of the new content
             raise
         self._refuse_changed()
         if self._flip_rows:
@@ -260,7 +263,7 @@ class Source:
         return np.ascontiguousarray(out)
 
     def _window(self, n_rows: int, n_cols: int, first_row: int, first_col: int, step: int) -> NDArray[np.float32]:
-        """Every ``step``-th of the file's own rows and columns from these on."""
+        """Every ``step``-th sample of a window of the file's own rows and columns."""
         out = np.empty((n_rows, n_cols), np.float32)
         with HANDLES.borrow(self.location) as dataset:
             key = stamped(self.location)
@@ -268,7 +271,7 @@ class Source:
                 top, left = first_row + i0 * step, first_col + j0 * step
                 height, width = (i1 - i0 - 1) * step + 1, (j1 - j0 - 1) * step + 1
                 out[i0:i1, j0:j1] = self._decode(dataset, top, left, height, width, step)
-                for band in self._bands_read(dataset):  # (after GDAL has seen that they are there)
+                for band in self._bands_read(dataset):  # (after GDAL has found that they exist)
                     check_blocks(dataset, key, band, (top, left, height, width), step, lent)
                 if self._mask == "gdal":
                     check_mask(dataset, key, (top, left, height, width), lent)
@@ -303,10 +306,10 @@ class Source:
         """Pieces (i0, i1, j0, j1) of the output whose source windows are small enough to be read at once."""
         itemsize = np.dtype(self.dtype).itemsize * (4 if self.encoding else 1)
         wide = max(1, min(n_cols, _CHUNK // itemsize // step))
-        # Where whole blocks lie between the rows that are wanted, one row at a time touches only the blocks it needs.
+        # Where whole blocks lie between the wanted rows, reading one row at a time touches only the blocks it needs.
         tall = 1 if step > self.block[0] else max(1, min(n_rows, _CHUNK // (itemsize * wide * step * step)))
         if step == 1 and self.block[0] > 1 and tall < n_rows:
-            tall = max(self.block[0], tall // self.block[0] * self.block[0])  # blocks are decoded once
+            tall = max(self.block[0], tall // self.block[0] * self.block[0])  # decode each block once
         return [
             (i, min(i + tall, n_rows), j, min(j + wide, n_cols))
             for i in range(0, n_rows, tall)
@@ -347,7 +350,7 @@ class Source:
         return heights
 
     def _where(self, error: BaseException, top: int, left: int, height: int, width: int) -> str:
-        """The block that failed, in the file's own rows and columns, if GDAL names it; else the window asked for."""
+        """The block that failed, in the file's own rows and columns, if GDAL names it; else the requested window."""
         inner: BaseException | None = error
         while inner is not None:
             found = re.search(r"X offset (\d+), Y offset (\d+)", getattr(inner, "errmsg", "") or str(inner))
@@ -372,7 +375,7 @@ class Source:
             if raw.dtype.kind == "f":
                 huge = ~(np.abs(raw) < HUGE)
                 heights[huge] = np.nan
-                if self._mask != "gdal":  # ISIS's special pixels are such numbers, and known to the mask
+                if self._mask != "gdal":  # ISIS's special pixels are such numbers, which the mask covers
                     self._note_undeclared(raw, huge, missing)
         if not plain or raw.dtype.itemsize > 4:
             heights[~(np.abs(heights) < HUGE)] = np.nan

@@ -1,8 +1,8 @@
 """The lowest, the highest and the number of valid heights of a raster of any size, in bounded memory and time.
 
-Up to ``EXACT`` samples every one is read, in windows of whole blocks, by several threads. Beyond that (or of a file
-that only claims to be so large) ``WINDOWS`` windows spread evenly over the raster are read, and the answer says that
-it is a sample. Units: metres.
+Up to ``EXACT`` samples, every one is read, in windows of whole blocks, by several threads. For larger rasters (or files
+that only claim to be so large), ``WINDOWS`` windows spread evenly over the raster are read, and the result is marked
+as a sample. Units: metres.
 """
 
 from __future__ import annotations

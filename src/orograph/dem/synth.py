@@ -1,12 +1,12 @@
-"""Fractal terrain of any size, made block by block: rivers carve its ranges on a coarse grid, furrows follow down to
-metres.
+"""Fractal terrain of any size, made block by block: rivers carve its ranges on a coarse grid; furrows add detail.
 
 1. Noise says where the land rises and how hard its rock is; ``erosion`` carves that on a grid of some hundred to a
-thousand cells a side, from coarse to fine. This part is global, takes seconds and a few MiB, and is done once. 2. A
-block of samples is cut out of it and refined: doubled in resolution again and again (cubic B-spline subdivision), and
-at each step furrowed at 8 samples' wavelength along the slopes it then has (``noise.gullies``).
+thousand cells a side, from coarse to fine. This part is global, takes seconds and a few MiB, and is done once.
 
-Every sample depends on the seed, the shape and its global row and column only: blocks may be made in any order, by any
+2. A block of samples is cut out of it and refined: its resolution is doubled again and again (cubic B-spline
+subdivision), and each step adds furrows with a wavelength of 8 samples along the slopes so far (``noise.gullies``).
+
+Every sample depends only on the seed, the shape, and its global row and column: blocks may be made in any order, by any
 number of threads, and fit to the bit. Units: samples for positions, metres for heights.
 """
 
@@ -33,7 +33,7 @@ from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 
 TILE = 512
-CARVED = 1100  # cells a side of the grid that rivers carve, at most, about
+CARVED = 1100  # maximum cells a side of the grid that rivers carve, approximately
 STEEPEST = 0.7  # slope at which hillsides slide (35°)
 FURROW = 8.0  # wavelength of furrows, in samples of the level they are cut at
 
@@ -88,7 +88,7 @@ class Synth:
         return f"synthetic {self.grid.shape} {self.seed} {self.spacing} {self.relief} {self.roughness}"
 
     def again(self) -> tuple[SynthAgain, dict[str, Floats]]:
-        """What opens it in another process, and with which arrays (``store.handing``)."""
+        """How to open it in another process, and with which arrays (``store.handing``)."""
         self.prepare()
         assert self._carved is not None
         left, top = self.grid.transform @ (0, 0)
@@ -109,7 +109,7 @@ class Synth:
         if not (0 <= row0 < row1 <= rows and 0 <= col0 < col1 <= cols):
             raise ValueError(f"window [{row0}, {row1}) × [{col0}, {col1}) of a raster of {rows} × {cols}")
         self.prepare()
-        # The ranges each level must have, from the window itself up to the carved grid.
+        # The range that each level needs, from the window itself up to the carved grid.
         ranges = [(row0, row1, col0, col1)]
         for _ in range(self.levels):
             a, b, c, d = ranges[-1]
@@ -155,11 +155,13 @@ class Synth:
                 heights[outlet] = 0
                 order, receiver = np.empty(heights.size, np.int64), np.empty(heights.size, np.int64)
                 for n in range(n_steps):
-                    if n % 2 == 0:  # rivers keep their courses for two steps: finding them takes most of the time
+                    if (
+                        n % 2 == 0
+                    ):  # rivers keep their courses for two steps, because finding them takes most of the time
                         drainage(heights, outlet, self._salt, order, receiver)
                     stream_power(heights, uplift, erodibility, outlet, order, receiver, float(width), 1.0, steepest)
                     task.advance(costs[i] / n_steps)
-                # The slope limit is one of metres: known only when it is known how many metres a unit is.
+                # The slope limit is in metres, so it needs the length of a unit.
                 steepest = STEEPEST * cell * self.spacing / (self.relief / self._seen(heights, width).max())
         seen = self._seen(heights, 1)
         low, high = float(seen.min()), float(seen.max())
@@ -190,16 +192,17 @@ class Synth:
     # -- blocks ---------------------------------------------------------------------------------------------------
 
     def _coarse(self, row0: int, row1: int, col0: int, col1: int) -> Floats:
-        """The carved grid at indices counted from the terrain's first sample, its courses bent out of the grid's
-        directions."""
+        """The carved grid at indices counted from the terrain's first sample, with courses bent off its directions."""
         assert self._carved is not None
         y, x = np.meshgrid(np.arange(row0, row1, dtype=float), np.arange(col0, col1, dtype=float), indexing="ij")
         across, down = self._fractal(x / 9, y / 9, 3, 0.6, 8), self._fractal(x / 9, y / 9, 3, 0.6, 9)
         return _spline(self._carved, x + self._margin + 2.2 * across, y + self._margin + 2.2 * down)
 
     def _furrowed(self, heights: Floats, level: int, row0: int, col0: int) -> Floats:
-        """Heights of a level (with one sample around) furrowed; (row0, col0) is the index of the first sample
-        returned."""
+        """Heights of a level (with a margin of one sample), furrowed.
+
+        (row0, col0) is the index of the first returned sample.
+        """
         out = np.empty((heights.shape[0] - 2, heights.shape[1] - 2))
         if self.roughness == 0:
             return heights[1:-1, 1:-1]
@@ -263,7 +266,7 @@ class SynthAgain(NamedTuple):
 
 
 class Windows(Protocol):
-    """Heights, or colours, that are made by windows.
+    """Heights or colours that are made window by window.
 
     Colours have an attribute ``bands``, 4, and windows (rows, cols, 4) of bytes: red, green, blue, opacity.
     """
@@ -313,7 +316,7 @@ def write_windows(
             "predictor": 3 if bands == 1 else 2,
             "zstd_level" if compress == "zstd" else "zlevel": 1,
         }
-    # Rows of tiles, one after the other: the order in which GDAL lays them down must not depend on its cache.
+    # One row of tiles after the other, so that GDAL's order in the file does not depend on its cache.
     tops, lefts = range(0, rows, TILE), range(0, cols, 4 * TILE)
     windows = [(r, min(r + TILE, rows), c, min(c + 4 * TILE, cols)) for r in tops for c in lefts]
     with raster_file(goal) as part, rasterio.open(part, "w", **profile) as file:
@@ -346,8 +349,10 @@ def _smoothstep(low: float, high: float, x: Floats) -> Floats:
 
 
 def _doubled(coarse: Floats, row0: int, row1: int, col0: int, col1: int) -> Floats:
-    """Cubic B-spline subdivision: samples [row0, row1) × [col0, col1) of the doubled grid, whose sample 2i lies at
-    i."""
+    """Cubic B-spline subdivision: samples [row0, row1) × [col0, col1) of the doubled grid.
+
+    Its sample 2i lies at i.
+    """
     for axis, (start, stop) in enumerate(((row0, row1), (col0, col1))):
         c = np.moveaxis(coarse, axis, 0)
         first, last = start // 2, (stop - 1) // 2
@@ -359,7 +364,7 @@ def _doubled(coarse: Floats, row0: int, row1: int, col0: int, col1: int) -> Floa
 
 
 def _spline(grid: Floats, x: Floats, y: Floats) -> Floats:
-    """The cubic B-spline of a grid (smoothing a little) at positions (x, y), held within it."""
+    """The cubic B-spline of a grid (slightly smoothing) at positions (x, y), clamped to the grid."""
     x, y = np.clip(x, 1, grid.shape[1] - 2.001), np.clip(y, 1, grid.shape[0] - 2.001)
     i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     total = np.zeros(x.shape)

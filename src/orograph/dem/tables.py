@@ -1,7 +1,8 @@
-"""Tables of points (CSV): columns of numbers by name, and which of them say where the points lie.
+"""Tables of points (CSV): columns of numbers by name, and which of them give the places of points.
 
-The delimiter (comma, semicolon, tab) is the one that the first line has most of. What is no number is missing. A line
-with more fields than there are names is refused, and so are commas that may part thousands as well as decimals.
+The delimiter (comma, semicolon, tab) is the most frequent one in the first line. A field that is not a number is
+missing. A line with more fields than there are names is refused, and so are commas that may separate thousands or
+decimals.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ def read_texts(path: str) -> dict[str, list[str]]:
 
 
 def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:
-    """The lines of a table, each as long as the first; ends that lack are empty.
+    """The lines of a table, padded with empty fields to the length of the first.
 
     Raises:
         ReadError: a line has more fields than there are names, or a quotation mark that takes in further lines.
@@ -94,7 +95,7 @@ _PARTED = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*\Z")
 
 
 def _with_points(values: list[str], name: str, path: str) -> list[str]:
-    """Numbers whose decimals follow a comma, with points.
+    """Numbers with decimal commas replaced by points.
 
     Raises:
         ReadError: all commas may part thousands as well (1,234).
@@ -109,7 +110,7 @@ def _with_points(values: list[str], name: str, path: str) -> list[str]:
 
 
 def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
-    """The names of the columns that say where points lie: eastwards and northwards.
+    """The names of the columns that hold the eastings and northings of points.
 
     Args:
         crs: whose x and y may be meant, in words, for the error.
@@ -127,7 +128,7 @@ def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:
 
 
 def _only(names: list[str], path: str) -> str | None:
-    """The one of these columns; None of none."""
+    """The one of these columns that exists; None if there is none."""
     if len(names) > 1:
         raise ReadError(
             f"Its columns {' and '.join(names)} may both say where the points lie.", path=path,
@@ -137,10 +138,10 @@ def _only(names: list[str], path: str) -> str | None:
 
 
 def number(value: Any) -> float:
-    """A number, NaN where something is none."""
+    """A number; NaN where a text is not one."""
     try:
         if value is None or isinstance(value, bool) or (isinstance(value, str) and "_" in value):
-            return np.nan  # ("1_000" is a number to Python alone)
+            return np.nan  # ("1_000" is a number only in Python)
         return float(value)
     except (TypeError, ValueError):
         return np.nan

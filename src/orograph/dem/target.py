@@ -25,7 +25,7 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 
 MAX_SIDE = 1 << 24  # samples; beyond it sample indices no longer fit float32, which renderers use
-_COUNTED = 2.0**53  # steps from the CRS's origin that float64 tells apart
+_COUNTED = 2.0**53  # steps from the CRS's origin that float64 can distinguish
 _FEWER = "Give a coarser `resolution`, another `crs`, or files that lie closer together."
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """The terrain's grid and why it is that one (a phrase: "UTM zone 11N", "as the source")."""
+    """The terrain's grid, and the reason for it (a phrase: "UTM zone 11N", "as the source")."""
 
     grid: Grid
     reason: str
@@ -74,15 +74,15 @@ def ground_spacing(grid: Grid) -> float:
 
 
 def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: float | None = None) -> Target:
-    """The target grid of some lattices, the finest first.
+    """The target grid for some lattices, the finest first.
 
     Args:
-        crs: a projected CRS in metres (``parse_crs``) instead of the one that would be chosen.
+        crs: a projected CRS in metres (``parse_crs``) instead of the automatic choice.
         resolution: metres between samples instead of the source's.
 
     Raises:
         ReadError: the area cannot be shown flat, or not in that CRS.
-        UsageError: a resolution that is no length, or gives an absurd number of samples.
+        UsageError: the resolution is not a length, or gives an absurd number of samples.
     """
     if resolution is not None and not (math.isfinite(resolution) and resolution > 0):
         raise UsageError(f"The resolution must be a length in metres, not {resolution}.")
@@ -101,7 +101,7 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
     if not max(map(abs, (west, south, east, north))) / spacing < _COUNTED:
         high, wide = (north - south) / spacing, (east - west) / spacing
         raise UsageError(_too_many(f"{high:.3g} × {wide:.3g}", spacing), remedy=_FEWER)
-    # A hair of tolerance, so that an edge which is a multiple but for rounding does not add a column.
+    # A small tolerance, so that an edge which is a multiple except for rounding does not add a column.
     left, right = math.floor(west / spacing + 1e-6), math.ceil(east / spacing - 1e-6)
     bottom, top = math.floor(south / spacing + 1e-6), math.ceil(north / spacing - 1e-6)
     shape = (max(1, top - bottom), max(1, right - left))
@@ -146,7 +146,7 @@ def _flat(crs: CRS, lattices: Sequence[Lattice]) -> tuple[CRS, str]:
 
 
 def _projected_spacing(grid: Grid, crs: CRS | None) -> float:
-    """Side of a square cell as large as the grid's cells at its centre, as projected; 4 significant digits."""
+    """Side of a square with the area of the grid's projected cells at its centre, rounded to 4 significant digits."""
     col, row = (grid.cols - 1) / 2, (grid.rows - 1) / 2
     x, y = _project(grid.xy([col - 0.5, col + 0.5, col, col], [row, row, row - 0.5, row + 0.5]), grid.crs, crs)
     area = abs((x[1] - x[0]) * (y[3] - y[2]) - (x[3] - x[2]) * (y[1] - y[0]))
@@ -160,7 +160,7 @@ def _extent(lattices: Sequence[Lattice], crs: CRS | None) -> tuple[float, float,
 
 
 def _project(points: tuple[Floats, Floats], source: CRS | None, target: CRS | None) -> tuple[Floats, Floats]:
-    """Points brought from one CRS to another; those the projection does not reach are left out."""
+    """Points transformed from one CRS to another, without those that the projection does not reach."""
     x, y = points
     if source is None or target is None or source == target:
         return x, y
@@ -172,13 +172,13 @@ def _project(points: tuple[Floats, Floats], source: CRS | None, target: CRS | No
 
 
 def _rims(lattice: Lattice) -> tuple[Floats, Floats]:
-    """CRS coordinates of samples all along the borders of the members, and of some within them."""
+    """CRS coordinates of samples along the borders of the members, and of some within them."""
     n = len(lattice.members)
     dense = np.linspace(0, 1, max(9, 1024 // math.isqrt(n)))
     inner = np.linspace(0, 1, 33 if n < 32 else 3)
     s, t = np.meshgrid(inner, inner)
     zero = np.zeros_like(dense)
-    # The middle row too: those along the poles have no longitude.
+    # Include the middle row: samples along the poles have no longitude.
     along = np.concatenate([dense, dense, zero, zero + 1, dense, s.ravel()])
     down = np.concatenate([zero, zero + 1, dense, dense, zero + 0.5, t.ravel()])
     r0, r1, c0, c1 = (lattice.corners[:, i, None].astype(np.float64) for i in range(4))

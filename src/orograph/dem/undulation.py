@@ -1,9 +1,9 @@
-"""A terrain's heights moved to another vertical datum window by window, by a geoid grid that is named.
+"""A terrain's heights converted to another vertical datum window by window, with a given geoid grid.
 
-h = H + N (``orograph.geo.vertical``). Where a sample of the terrain lies in the geoid grid is found as where it lies in
-a source (``coordinates``), within ``TOLERANCE`` of a cell of the grid; N is then interpolated bilinearly at that very
-place, kinks at the borders of the grid's cells included, and added in float64. Nothing depends on the window. The
-terrain's own longitudes and latitudes are used: a shift of some 100 m between its datum and the grid's moves N by a
+h = H + N (``orograph.geo.vertical``). The position of a terrain's sample in the geoid grid is found like that in a
+source (``coordinates``), within ``TOLERANCE`` of a cell of the grid; N is then interpolated bilinearly at that
+position, including kinks at the borders of the grid's cells, and added in float64. Nothing depends on the window. The
+terrain's own longitudes and latitudes are used: a shift of some 100 m between its datum and the grid's changes N by a
 few millimetres. Units: metres, degrees; positions in samples of the geoid grid.
 """
 
@@ -25,8 +25,8 @@ from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geo.vertical import ELLIPSOIDAL, KNOWN_DATUMS, Geoid, known_datum
 
-TOLERANCE = 2e-5  # cells of the geoid grid: 0.2 mm where a 15′ geoid is at its steepest (8 m in a cell)
-SLACK = 1e-5  # cells: rounding may put a point on the grid's border a little beyond it
+TOLERANCE = 2e-5  # cells of the geoid grid: 0.2 mm where a 15′ geoid is steepest (8 m in a cell)
+SLACK = 1e-5  # cells: rounding may put a point on the grid's border slightly outside
 STRIP = 256  # rows whose positions are held at once
 
 Direction = Literal["ellipsoidal", "orthometric"]
@@ -109,11 +109,11 @@ class Undulation:
 
 
 class ConvertedLattice:
-    """A lattice whose heights are moved to another datum.
+    """A lattice with its heights converted to another datum.
 
-    Args:
+    Attributes:
         lattice: of the sources.
-        geoid, to: as of ``Undulation``.
+        geoid, to: as for ``Undulation``.
     """
 
     code = FLOAT
@@ -138,7 +138,7 @@ def latitudes_of(lattices: Sequence[Lattice]) -> tuple[float, float] | None:
     every = np.concatenate(lats)
     if not len(every):
         return None
-    # A pole that a raster surrounds is not on its border; nor does the straight border of one follow a parallel.
+    # A pole inside a raster is not on its border, and a straight border there does not follow a parallel.
     south, north = float(every.min()), float(every.max())
     margin = 0.1 * (north - south) + 0.1
     return (-90.0 if south < -60 else south - margin), (90.0 if north > 60 else north + margin)
@@ -158,7 +158,7 @@ def _rims(lattice: Lattice, crs: CRS | None) -> tuple[NDArray[np.float64], NDArr
 
 
 def check_request(to: str | None, geoid: object | None) -> None:
-    """Refuse a conversion that is half asked for.
+    """Refuse an incomplete request for a conversion.
 
     Raises:
         UsageError: one without the other, or an unknown direction.
@@ -178,7 +178,7 @@ def check_request(to: str | None, geoid: object | None) -> None:
 
 
 class Named(Protocol):
-    """Heights that have a name, and a vertical datum or None."""
+    """Heights with a name, and a vertical datum or None."""
 
     @property
     def name(self) -> str: ...
@@ -187,10 +187,10 @@ class Named(Protocol):
 
 
 def check_datums(sources: Sequence[Named], to: Direction, geoid: Geoid) -> None:
-    """Refuse sources whose heights are not of the datum that the conversion starts from.
+    """Refuse sources whose heights do not have the datum that the conversion starts from.
 
     Raises:
-        UsageError: one is of another datum, or already of the one asked for, or does not say.
+        UsageError: one has another datum, or already the requested one, or declares none.
     """
     target = geoid.datum if to == "orthometric" else ELLIPSOIDAL
     origin = ELLIPSOIDAL if to == "orthometric" else geoid.datum

@@ -1,7 +1,8 @@
-"""Names of the units heights come in, and how many metres each is.
+"""Names of units of height, and their length in metres.
 
-Band unit tags are free text (GDAL's ``GetUnitType``, netCDF's ``units``): the usual spellings are listed. The two feet
-differ by 2 parts in a million: 0.3048 m (international) and 1200/3937 m (US survey), as in EPSG units 9002 and 9003.
+Band unit tags are free text (GDAL's ``GetUnitType``, netCDF's ``units``), so the usual spellings are listed. The two
+feet differ by 2 parts in a million: 0.3048 m (international) and 1200/3937 m (US survey), as in EPSG units 9002 and
+9003.
 """
 
 from __future__ import annotations

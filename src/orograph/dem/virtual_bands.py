@@ -1,9 +1,8 @@
-"""What a VRT's band does not repeat of its parts, so that their numbers are taken for something else; and what the
-parts say that contradicts itself.
+"""Warnings about a VRT's band that does not repeat properties of its parts, and about contradictions within the parts.
 
-GDAL hands the numbers of a part through as they are stored: its unit, its scale and offset and its nodata value count
-only if the VRT's band says them, too. Where no part lies and no nodata value is declared, it gives 0; what a narrower
-type cannot hold is clipped (https://gdal.org/drivers/raster/vrt.html).
+GDAL passes on a part's numbers as stored: the part's unit, scale, offset and nodata value count only if the VRT's band
+repeats them. Where no part lies and no nodata value is declared, it gives 0; numbers that do not fit a narrower type
+are clipped (https://gdal.org/drivers/raster/vrt.html).
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _MOST_RECTANGLES = 4096
 def diagnose(
     dataset: Any, band: int, *, nodata: float | str | None, unit: str | None, masked: bool, crs: CRS | None
 ) -> list[str]:
-    """Warnings of a VRT; the arguments are those of ``diagnostics.diagnose``."""
+    """Warnings about a VRT; arguments as for ``diagnostics.diagnose``."""
     if dataset.driver != "VRT":
         return []
     parts = [
@@ -46,7 +45,7 @@ def diagnose(
             "Its parts do not cover all of it, and it declares no nodata value: the rest reads as heights of 0."
         )
     factor = unit_of(dataset, band, crs, None, []) if unit is None else None
-    said: dict[str, list[str]] = {}
+    unlike: dict[str, list[str]] = {}
     every = list({part.location: part for part in parts if not part.needs}.values())
     own: dict[str, list[str]] = {}
     known = nodata if nodata is not None else dataset.nodatavals[band - 1]
@@ -57,12 +56,12 @@ def diagnose(
             with lent(part.location) as (file, _):
                 if part.band <= file.count:
                     for text in _unlike(dataset, band, part, file, factor, nodata is not None or masked):
-                        said.setdefault(text, []).append(part.location)
+                        unlike.setdefault(text, []).append(part.location)
                     for text in _of_itself(file, part.band, known, masked or part.by_mask):
                         own.setdefault(text, []).append(part.location)
-        except ReadError:  # what is damaged is told when it is read
+        except ReadError:  # damage is reported when it is read
             continue
-    found += [f"{text} ({_named(names)})." for text, names in said.items()]
+    found += [f"{text} ({_named(names)})." for text, names in unlike.items()]
     found += [f"Of its part {_named(names)}: {text}" for text, names in own.items()]
     return found
 
@@ -72,20 +71,20 @@ def _named(names: list[str]) -> str:
 
 
 def _of_itself(file: Any, band: int, nodata: float | str | None, masked: bool) -> list[str]:
-    """What the file of a part says that contradicts itself or a note beside it, as it would be told of it alone.
+    """Contradictions within a part's file or with its companions, as for the file alone.
 
     Args:
         nodata: that counts instead of its own; None: its own does.
     """
     try:
-        told = geotiff.diagnose(file, band, nodata, masked, None)
-    except ReadError as error:  # for which it would be refused; of a VRT only the place and the CRS count
-        told = [error.what]
-    return told + beside.diagnose(file, band)
+        warnings = geotiff.diagnose(file, band, nodata, masked, None)
+    except ReadError as error:  # a fault for which the file alone would be refused; in a VRT, only place and CRS matter
+        warnings = [error.what]
+    return warnings + beside.diagnose(file, band)
 
 
 def _unlike(dataset: Any, band: int, part: Part, file: Any, factor: float | None, excused: bool) -> Iterator[str]:
-    """In what the file of a part differs from the VRT's band.
+    """How a part's file differs from the VRT's band.
 
     Args:
         factor: metres in the unit of the VRT; None: a user states it.

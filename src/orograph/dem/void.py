@@ -1,6 +1,6 @@
-"""How much of a mosaic lies in none of its files: warned of where it is most of it, refused where that would be built.
+"""The part of a mosaic's grid that none of its files cover: a warning if it is most of it, an error if a build is huge.
 
-What covers a lattice is the area of its members, overlaps counted twice, so the void is at least what is said.
+The covered area is the sum of the members' areas, counting overlaps twice, so the result is a lower bound of the void.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 
 VOID, MOSTLY = 0.75, 0.9
-"""Parts from which on it is warned of, and refused."""
+"""Parts of the whole that cause a warning, and an error."""
 LARGE, HUGE = 1 << 24, 2 << 30
-"""Samples of the whole from which on it is."""
+"""Minimum samples of the whole for each."""
 
 
 def void_of(lattices: Sequence[Lattice], grid: Grid) -> float:
-    """The part of a terrain's grid that lies in no source, at least, 0 to 1."""
+    """Lower bound of the part of a terrain's grid that lies in no source, 0 to 1."""
     covered = 0.0
     for lattice in lattices:
         rows, cols = lattice.corners[:, 1] - lattice.corners[:, 0], lattice.corners[:, 3] - lattice.corners[:, 2]
@@ -29,14 +29,14 @@ def void_of(lattices: Sequence[Lattice], grid: Grid) -> float:
 
 
 def void_warning(void: float, grid: Grid) -> str | None:
-    """A warning where most of a large terrain is void; None of others."""
+    """A warning if most of a large terrain is void; None otherwise."""
     if void < VOID or grid.rows * grid.cols < LARGE:
         return None
     return f"{_said(void, grid)} (name fewer files, or give a `bbox`)."
 
 
 def check_void(void: float, grid: Grid, meant: bool) -> None:
-    """Raise UsageError where nearly all of a huge terrain is void, unless it was asked for."""
+    """Raise UsageError if nearly all of a huge terrain is void, unless that was requested."""
     if void >= MOSTLY and grid.rows * grid.cols >= HUGE and not meant:
         raise UsageError(
             f"{_said(void, grid)}; building it would take long.",

@@ -1,9 +1,8 @@
-"""Files that GDAL writes: whole or not at all, and without libtiff's own lines on the screen.
+"""Files that GDAL writes: complete or not at all, and without libtiff's own messages on the screen.
 
-GDAL writes the last blocks of a raster, and its directory, when it is closed, and rasterio does not hear of what fails
-then: on a disk that becomes full at that moment a file is left that cannot be read, or that lacks blocks, and nothing
-is said. So a file is checked before it gets its name. libtiff prints what goes wrong on the standard error
-besides telling its caller; it is told not to.
+GDAL writes a raster's last blocks and its directory when it is closed, and rasterio does not report errors of that
+step: if the disk becomes full at that moment, an unreadable or incomplete file silently remains. So a file is checked
+before it gets its name. libtiff also prints its errors on standard error; this is turned off.
 """
 
 from __future__ import annotations
@@ -29,14 +28,14 @@ _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
 
 @contextmanager
 def raster_file(out: Path, cache: int | None = None, keep: bool = False) -> Iterator[Path]:
-    """A path for GDAL to write to, which becomes ``out`` if the file is whole; around writing and closing it.
+    """A path for GDAL to write to, which becomes ``out`` if the file is complete; a context around writing and closing.
 
     Args:
-        cache: bytes of GDAL's cache of blocks; None: as much as for those who read.
-        keep: as of ``Beside``.
+        cache: bytes of GDAL's cache of blocks; None: as for reading.
+        keep: as for ``Beside``.
 
     Raises:
-        OutputError: it cannot be written. What was there before is there still.
+        OutputError: it cannot be written. An existing file is unchanged.
     """
     with Beside(out, keep) as part, gdal_writes(out, cache):
         yield part
@@ -45,7 +44,7 @@ def raster_file(out: Path, cache: int | None = None, keep: bool = False) -> Iter
 
 @contextmanager
 def gdal_writes(out: Path, cache: int | None = None) -> Iterator[None]:
-    """GDAL's settings for those who write, and its errors as OutputError of ``out``."""
+    """GDAL's settings for writers, with its errors raised as OutputError of ``out``."""
     import rasterio
     from rasterio._err import CPLE_BaseError
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
@@ -54,11 +53,11 @@ def gdal_writes(out: Path, cache: int | None = None) -> Iterator[None]:
     settings = bounded_cache() if cache is None else {"GDAL_CACHEMAX": cache}
     try:
         with rasterio.Env(GDAL_PAM_ENABLED="NO", **settings), warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a picture in perspective lies nowhere
+            warnings.simplefilter("ignore", NotGeoreferencedWarning)  # a picture in perspective has no place
             yield
     except (RasterioError, CPLE_BaseError) as error:
         raise OutputError(f"The file cannot be written: {cause_of(error)}", path=out, remedy=_ROOM) from error
-    except SystemError as error:  # rasterio's, where GDAL fails and does not say why
+    except SystemError as error:  # rasterio's own, if GDAL fails without a reason
         raise OutputError("The file cannot be written.", path=out, remedy=_ROOM) from error
 
 
@@ -81,18 +80,20 @@ def write_cog(
             NUM_THREADS=threads,
         )  # fmt: skip
     finally:
-        for left in part.parent.glob(f"{glob.escape(part.name)}*.tmp"):  # of a copy that was interrupted
+        for left in part.parent.glob(f"{glob.escape(part.name)}*.tmp"):  # from an interrupted copy
             remove(left)
 
 
 def check_written(part: Path, out: Path) -> None:
-    """Raise OutputError of ``out`` unless a file that GDAL has closed is whole: it reached the disk, has its end, and
-    as a TIFF all of its blocks."""
+    """Raise OutputError of ``out`` unless a file that GDAL has closed is complete.
+
+    It must have reached the disk and have its end and, as a TIFF, all of its blocks.
+    """
     from rasterio.errors import RasterioError
 
     try:
         with part.open("r+b") as file:
-            os.fsync(file.fileno())  # where room is counted late (NFS, quotas), the error comes here
+            os.fsync(file.fileno())  # where space is accounted late (NFS, quotas), the error appears here
         whole = _whole(part)
     except (OSError, RasterioError):
         whole = False
@@ -123,7 +124,7 @@ def _whole(path: Path) -> bool:
 
 
 def _has_blocks(dataset: Any, size: int) -> bool:
-    """Whether all blocks of a TIFF, or of the overview that it was opened at, lie within a file of so many bytes."""
+    """Whether all blocks of a TIFF, or of its opened overview, lie within a file of so many bytes."""
     from rasterio.enums import Interleaving
 
     high, wide = dataset.block_shapes[0]
@@ -140,12 +141,12 @@ def _has_blocks(dataset: Any, size: int) -> bool:
 
 @functools.cache
 def _silence_libtiff() -> None:
-    """Keep the libtiff that GDAL uses from printing: where it is a library of its own, found by way of rasterio."""
+    """Turn off messages of the libtiff that GDAL uses, if it is a separate library, found through rasterio."""
     import rasterio._io
 
     try:
         setter = ctypes.CDLL(rasterio._io.__file__).TIFFSetErrorHandler
-    except (OSError, AttributeError):  # part of GDAL, or a system whose libraries do not show those they use
+    except (OSError, AttributeError):  # part of GDAL, or a system that does not list a library's dependencies
         return
     setter.restype, setter.argtypes = ctypes.c_void_p, [ctypes.c_void_p]
     setter(None)

@@ -1,4 +1,4 @@
-"""``orograph.fetch``: heights of a place from open elevation products."""
+"""``orograph.fetch``: heights of an area from open elevation products."""
 
 from __future__ import annotations
 
@@ -75,17 +75,17 @@ def fetch(
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Dem | StoredTerrain:
-    """Heights of an area from an open elevation product; what was read is cached, and not read again.
+    """Heights of an area from an open elevation product; what was read is cached for later calls.
 
     Args:
         area: (west, south, east, north) in degrees, east < west across the 180th meridian; (longitude, latitude) with
             ``radius``; a GeoJSON object, or one with ``__geo_interface__``: the box around it.
         product: its name (``orograph.fetching.products``).
-        bbox, at, geojson: the area by what it is: the four numbers; the place, with ``radius``; the geometry, or a
+        bbox, at, geojson: the area in one form: the four numbers; the place, with ``radius``; the geometry, or a
             GeoJSON file. radius: metres around a place.
         output: a GeoTIFF (.tif) or a store (.oro) to write; None: only the Dem.
-        zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing", overriding what the product says
-            an absent tile is. table: a file of more products.
+        zoom: of web-mercator tiles; None: the product's. absent: "sea" or "missing": the meaning of an absent tile,
+            instead of the product's. table: a file of more products.
         to_vertical, geoid: as for ``orograph.build``.
         most: bytes of heights that may be read; None: any number. connections: simultaneous requests.
         overwrite: replace an existing output. resume: finish an interrupted store.
@@ -96,8 +96,8 @@ def fetch(
         a Dem on the product's own grid (metres, above its vertical datum), or the store.
 
     Raises:
-        UsageError: the area is invalid, there is no such product, or it is more than ``most``.
-        ReadError: a server does not deliver a tile; the message names it, and what to do.
+        UsageError: the area is invalid, there is no such product, or it exceeds ``most``.
+        ReadError: a server does not deliver a tile; the message names the tile and a remedy.
         OutputError, StoreError: a result cannot be written.
     """
     max_memory, most = bytes_of(max_memory), bytes_of(most, "most")

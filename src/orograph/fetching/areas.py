@@ -1,7 +1,8 @@
 """The requested area as a box of longitudes and latitudes, from a box, a circle, or GeoJSON.
 
-A box may cross the 180th meridian: its east is then beyond 180. For geometries the box around them is used: the
-smallest arc of longitudes that contains them, whichever way around the globe. Units: degrees; metres on the ground.
+A box may cross the 180th meridian: its east is then beyond 180. Geometries are replaced by the box around them: the
+smallest arc of longitudes that contains them, in either direction around the globe. Units: degrees; metres on the
+ground.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ class Box:
 
 
 def asked(area: Any, bbox: Any, at: Any, radius: float | None, geojson: Any) -> Any:
-    """The one area of those that ``fetch`` may be given.
+    """The area from the arguments of ``fetch``, of which exactly one is needed.
 
     Raises:
         UsageError: there is none or more than one, or a radius around something else. ReadError: the file is no
@@ -63,7 +64,7 @@ def asked(area: Any, bbox: Any, at: Any, radius: float | None, geojson: Any) -> 
 
 
 def area_of(area: Any, radius: float | None, body: Ellipsoid) -> Box:
-    """The box of the area that a user asks for.
+    """The box of a requested area.
 
     Args:
         area: (west, south, east, north); (longitude, latitude), with ``radius``; or a GeoJSON object, or one that has
@@ -207,7 +208,7 @@ def _arc(spans: list[tuple[float, float]]) -> tuple[float, float]:
 
 
 def _turned(lon: float) -> float:
-    """A longitude within [−180, 180)."""
+    """A longitude wrapped into [−180, 180)."""
     return lon if -180 <= lon < 180 else (lon + 180) % 360 - 180
 
 

@@ -1,7 +1,7 @@
 """Ask a server about a tile: whether it exists, its size and state; politely, and with retries where they may help.
 
-GDAL reads the samples (``reading``); what it does not report, the status code and the ETag, comes from one request of a
-single byte. Accounts are those that GDAL uses too: ``~/.netrc`` (or ``$NETRC``), GDAL_HTTP_USERPWD, GDAL_HTTP_BEARER,
+GDAL reads the samples (``reading``). One request of a single byte provides what it does not report: the status code and
+the ETag. Accounts are those that GDAL uses too: ``~/.netrc`` (or ``$NETRC``), GDAL_HTTP_USERPWD, GDAL_HTTP_BEARER,
 GDAL_HTTP_HEADERS.
 """
 
@@ -46,7 +46,7 @@ class Answer:
     """A server's answer about a file.
 
     Attributes:
-        code: of the answer; 0: there is none. etag, modified: its state. size: bytes, None if it does not say.
+        code: of the answer; 0: no answer. etag, modified: its state. size: bytes, None if unknown.
         cause: the reason for no answer, or the meaning of the code.
     """
 
@@ -62,12 +62,12 @@ class Answer:
 
     @property
     def passing(self) -> bool:
-        """Whether a retry may give another answer."""
+        """Whether the error is transient, so that a retry may help."""
         return self.code == 0 or self.code in PASSING
 
     @property
     def state(self) -> tuple[str, str, int | None]:
-        """The state of the file, which changes with it."""
+        """The state of the file, which changes whenever the file does."""
         return self.etag, "" if self.etag else self.modified, self.size
 
     def __str__(self) -> str:
@@ -91,7 +91,7 @@ def ask(url: str, *, etag: str = "", modified: str = "", again: bool = True) -> 
     """Ask for the first byte of a file; given its known state, ask whether that is still valid (code 304).
 
     Args:
-        again: retry where that may help, after ``PAUSES`` or when the server says.
+        again: retry where that may help, after ``PAUSES`` or when the server permits.
     """
     for pause in [*(PAUSES if again else []), None]:
         answer, wait = _ask(url, etag, modified)
@@ -149,16 +149,16 @@ def _cause(reason: object) -> str:
 
 def _authorization(url: urllib.parse.SplitResult) -> dict[str, str]:
     """The headers from GDAL's settings, or the user and the password of a URL."""
-    said = {}
+    headers = {}
     for line in re.split(r"\r?\n|\\r\\n|,(?=[\w-]+:)", os.environ.get("GDAL_HTTP_HEADERS", "")):
         name, colon, value = line.partition(":")
         if colon:
-            said[name.strip()] = value.strip()
+            headers[name.strip()] = value.strip()
     if bearer := os.environ.get("GDAL_HTTP_BEARER"):
-        said["Authorization"] = f"Bearer {bearer}"
+        headers["Authorization"] = f"Bearer {bearer}"
     elif login := _login(url) or os.environ.get("GDAL_HTTP_USERPWD"):
-        said["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
-    return said
+        headers["Authorization"] = "Basic " + base64.b64encode(login.encode()).decode()
+    return headers
 
 
 def _login(url: urllib.parse.SplitResult) -> str:
@@ -199,7 +199,7 @@ def gdal_settings(product: Product) -> Iterator[dict[str, Any]]:
             "GDAL_HTTP_LOW_SPEED_LIMIT": 1,
             "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # a tile has no companion files
             "GDAL_INGESTED_BYTES_AT_OPEN": 65536,  # all directories of a COG
-            "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # retry what failed once
+            "CPL_VSIL_CURL_NON_CACHED": f"/vsicurl/{product.base}",  # retry after a first failure
         }
         if Path(_netrc_file()).is_file():
             settings["GDAL_HTTP_NETRC_FILE"] = _netrc_file()

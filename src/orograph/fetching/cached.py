@@ -1,11 +1,11 @@
 """Cached parts of tiles: a record of each tile, and its parts as small GeoTIFFs.
 
-    tiles/PRODUCT-HASH/TILE/tile.json     what its server said, and when; of one that is there its header
+    tiles/PRODUCT-HASH/TILE/tile.json     its server's answer and time; the header of an existing tile
     tiles/PRODUCT-HASH/TILE/r0-c1024.tif  a part, in the tile's own numbers: its first row and column
 
-The hash is of the product's URL rule, so another mirror has another folder. Each file appears whole (``Beside``), so a
-killed run loses only the current part. While an area is assembled, a lock on ``tiles`` protects what it needs from
-being removed to make room (``store.kept``).
+The hash is of the product's URL rule, so each mirror has its own folder. Each file appears complete (``Beside``), so a
+killed run loses only the current part. While an area is assembled, a lock on ``tiles`` protects its tiles from
+removal to make room (``store.kept``).
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class Record:
     """The record of a tile.
 
     Attributes:
-        status: "there"; "absent"; "withheld": its makers have it but do not publish it.
+        status: "there"; "absent"; "withheld": its makers have it and do not publish it.
         asked: when its server was asked, seconds since 1970. etag, modified, size: its answer.
         header: None: not opened yet.
     """
@@ -116,18 +116,18 @@ class KeptTile:
             part.write_text(json.dumps(asdict(record)), encoding="utf-8")
 
     def touch(self, record: Record) -> Record:
-        """Record that its server was just asked and that it is unchanged."""
+        """Record that its server was just asked, and that the tile is unchanged."""
         now = replace(record, asked=time.time())
         self.put_record(now)
         return now
 
     def use(self) -> None:
-        """Record that it is in use: the least recently used is removed first."""
+        """Mark it as just used: the least recently used is removed first."""
         with contextlib.suppress(OSError):
             os.utime(self.path)
 
     def clear(self) -> None:
-        """Forget it."""
+        """Remove it from the cache."""
         for file in self.path.glob("*"):
             if file.suffix in (".tif", ".json"):
                 remove(file)
@@ -162,7 +162,7 @@ class KeptTile:
 
     @contextlib.contextmanager
     def _writing(self) -> Iterator[None]:
-        """Around what writes a file of it."""
+        """A context around writing one of its files."""
         try:
             self.path.mkdir(parents=True, exist_ok=True)
             yield

@@ -43,7 +43,7 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
 
     Args:
         rows: the heights: the raster's, or converted ones.
-        raster: what is said of them. vertical: their datum.
+        raster: provides their metadata. vertical: their datum.
 
     Raises:
         OutputError: the file cannot be written.
@@ -86,7 +86,7 @@ def write_geotiff(out: Path, rows: Rows, raster: Fetched, vertical: str | None, 
 def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:
     """The description of a file's sources."""
     product = raster.product
-    said = {
+    texts = {
         **copyright_tags(raster.attribution),
         "LICENSE": product.licence,
         "PRODUCT": f"{product.title} ({product.name})",
@@ -96,7 +96,7 @@ def tags(raster: Fetched, vertical: str | None) -> dict[str, str]:
         "VERTICAL_DATUM": vertical or "",
         "TIFFTAG_IMAGEDESCRIPTION": f"{raster.name}, metres",
     }
-    return {name: text for name, text in said.items() if text}
+    return {name: text for name, text in texts.items() if text}
 
 
 def full_crs(raster: Fetched, vertical: str | None) -> CRS:

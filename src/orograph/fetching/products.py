@@ -49,7 +49,7 @@ class Product:
         registration: "point": samples lie on whole multiples of the spacing; "area": cells do.
         shared: whether a tile's last row and column are also the next tile's first.
         side: degrees of a tile. corner: which corner names it.
-        widths: (latitude, factor): from this latitude polewards columns are so many times as far apart as rows.
+        widths: (latitude, factor): the ratio of column to row spacing from this latitude polewards.
         folders: (latitude, name): {folder} of tiles from this latitude northwards.
         extent: west, south, east, north of what it covers, degrees.
         crs: of its samples; of one file its own. body: "Earth", "Mars" or "Moon".
@@ -57,7 +57,7 @@ class Product:
         encoding: how colours hold heights, "" if they do not.
         zoom, most_zoom: of web-mercator tiles: usual, and deepest.
         absent: the meaning of an absent tile: "sea" (0 m) or "missing". absent_codes: the status codes of absent tiles.
-        witness: a product whose tile at the same place, if it exists, shows that an absent one is not sea.
+        witness: a product whose tile at the same place, if it exists, proves that an absent one is not sea.
         vertical: the vertical datum: an EPSG code, a name, "" if it is not one.
         model: "surface" (with trees and houses) or "terrain".
         years: when it was measured. licence, attribution: as its makers require. home: its page.
@@ -115,7 +115,7 @@ class Product:
         return bool(self.member or self.encoding) or self.url.endswith((".gz", ".zip"))
 
     def width(self, south: float, north: float) -> float:
-        """How many times wider apart than rows the columns of a tile between two latitudes are."""
+        """The ratio of column to row spacing in a tile between two latitudes."""
         nearest = 0.0 if south < 0 < north else min(abs(south), abs(north))
         return max((entry for entry in self.widths if entry[0] <= nearest), key=lambda entry: entry[0])[1]
 
@@ -199,7 +199,7 @@ def _loaded(path: str | os.PathLike[str]) -> dict[str, dict[str, Any]]:
 
 
 def _made(name: str, entries: Mapping[str, Mapping[str, Any]], below: frozenset[str] = frozenset()) -> Product:
-    """A product from its entry and those that it is like."""
+    """A product from its entry and the product that it resembles."""
     values = _values(name, entries, below)
     known = {field.name: field for field in fields(Product)}
     if unknown := sorted(set(values) - set(known)):

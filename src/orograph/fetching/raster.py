@@ -1,8 +1,8 @@
 """An area's heights from the cache: the pieces of its tiles on one grid.
 
-A sample is its tile's own number, to the bit, where its band of tiles has the grid's columns; towards the poles rows
-are interpolated linearly between their two neighbours (float64, rounded once). Samples of an absent tile are 0 m of
-sea, or missing, as the product says; a row or column that another tile shares comes from that tile. Units: metres;
+A sample is its tile's own number, to the bit, if its band of tiles has the grid's columns; towards the poles, samples
+are interpolated linearly along rows (float64, rounded once). Samples of an absent tile are 0 m of sea or missing,
+according to the product; a row or column shared with another tile comes from the tile that owns it. Units: metres;
 samples.
 """
 
@@ -41,7 +41,7 @@ class _Spot:
 
 
 class Fetched:
-    """A raster of an area, for a mosaic or a store; reads what ``Reader.read`` has put into the cache.
+    """A raster of an area, for a mosaic or a store; reads the data that ``Reader.read`` has put into the cache.
 
     Attributes:
         grid: of the area. name, vertical, attribution: as for a ``Dem``. product: the source.
@@ -96,12 +96,12 @@ class Fetched:
 
     def fingerprint(self) -> str:
         """A hash of its parts and their places."""
-        said = [self.product.name, repr(self.grid.transform[:6]), repr(self.grid.shape)]
+        parts = [self.product.name, repr(self.grid.transform[:6]), repr(self.grid.shape)]
         for spots in self._spots:
             for spot in spots:
-                said.append(f"{spot.piece} {spot.fill}")
-                said += states(str(part.kept.part(part.row, part.col)) for part in spot.parts.values())
-        return hashlib.sha256("\n".join(said).encode()).hexdigest()
+                parts.append(f"{spot.piece} {spot.fill}")
+                parts += states(str(part.kept.part(part.row, part.col)) for part in spot.parts.values())
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
     def _spot(self, piece: Piece, reader: Reader, sea: bool) -> _Spot:
         header = reader.records[piece.tile.key].header
@@ -123,7 +123,7 @@ class Fetched:
         if not band.resampled:
             self._put(spots, row0, col0, out)
             return
-        # Columns of the band at which the area's lie; those on one of its own need no neighbour.
+        # Columns of the band at the area's columns; one that coincides needs no neighbour.
         at = band.start + np.arange(col0, col1) * band.step
         nearest = np.rint(at)
         at = np.where(np.abs(at - nearest) < 1e-6, nearest, at)
@@ -141,13 +141,13 @@ class Fetched:
         out[:] = np.where(part == 0, low, mixed)
 
     def _put(self, spots: list[_Spot], row: int, col: int, out: Heights) -> None:
-        """Put the samples of pieces into an array whose first one is (row, col) of their band."""
+        """Put the samples of pieces into an array that begins at (row, col) of their band."""
         for spot in spots:
             piece = spot.piece
             self._copy(spot, piece.row0, piece.col0, _size(piece), (piece.row - row, piece.col - col), out)
 
     def _share(self, spot: _Spot, top: int, first: tuple[int, int], out: Heights) -> None:
-        """Put a piece's last shared row and column where its neighbour, which owns them, has nothing."""
+        """Copy a piece's last shared row and column where its neighbour, which owns them, has nothing."""
         piece = spot.piece
         rows, cols = _size(piece)
         at = top - first[0], piece.col - first[1]
@@ -160,7 +160,7 @@ class Fetched:
                 np.copyto(view, found, where=np.isnan(view))
 
     def _copy(self, spot: _Spot, row: int, col: int, size: tuple[int, int], at: tuple[int, int], out: Heights) -> None:
-        """Samples of a tile, ``size`` of them from its own (row, col) on, to ``at`` in an array, as far as both go."""
+        """Copy ``size`` samples of a tile from its (row, col) to ``at`` in an array, as far as both reach."""
         if not spot.parts:
             return
         # In samples of the tile's file.
@@ -178,12 +178,12 @@ class Fetched:
                 out[a + top : b + top, c + left : d + left] = found
 
     def _read(self, part: Part, *window: int) -> Heights:
-        """Samples of a part; one that is damaged is removed from the cache."""
+        """Samples of a part; a damaged one is removed from the cache."""
         path = part.kept.part(part.row, part.col)
         try:
             try:
                 return self._file(path).read(*window)
-            except ReadError:  # another process may have put it there anew
+            except ReadError:  # another process may have replaced it
                 with self._lock:
                     self._files.pop(path, None)
                 return self._file(path).read(*window)

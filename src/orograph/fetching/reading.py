@@ -109,13 +109,13 @@ class Reader:
                     task.advance()
 
     def parts(self, pieces: Sequence[Piece]) -> list[Part]:
-        """The parts that pieces of one tile lie in; none of a tile that is not there."""
+        """The parts that contain pieces of one tile; none for a tile that does not exist."""
         tile = pieces[0].tile
         record = self.records[tile.key]
         return [] if record.header is None else self._parts(KeptTile(self.product, tile), record.header, pieces)
 
     def _parts(self, kept: KeptTile, header: Header, pieces: Sequence[Piece]) -> list[Part]:
-        """The parts of a file in which pieces lie, each once; with the rows and columns that it shares with others."""
+        """The parts of a file that contain pieces, each once, with the rows and columns shared with others."""
         high, wide = header.block
         rows, cols = header.shape
         wanted: dict[tuple[int, int], None] = {}
@@ -130,7 +130,7 @@ class Reader:
 
     @contextmanager
     def _gdal(self) -> Iterator[None]:
-        """While it is open GDAL has its settings; then its files are closed."""
+        """A context with GDAL's settings; closes its files at the end."""
         with asking.gdal_settings(self.product) as self._settings:
             try:
                 yield
@@ -154,7 +154,7 @@ class Reader:
         if known is not None and known.status == "there" and answer.code == 304:
             known = kept.touch(known)
         elif known is not None and complete and not answer.there and answer.passing:
-            self.stale.append(tile.key)  # there is no network: the cached record must do
+            self.stale.append(tile.key)  # there is no network: use the cached record
             return known
         else:
             known = self._record_of(kept, known, answer)
@@ -180,7 +180,7 @@ class Reader:
         return record
 
     def _withheld(self, tile: Tile) -> bool:
-        """Whether another product has this tile, so that it is not sea."""
+        """Whether another product has this tile, which proves that it is not sea."""
         witness = self.others.get(self.product.witness)
         if witness is None or self.product.absent != "sea" or tile.grid is None:
             return False
@@ -317,7 +317,7 @@ def _same_tile(witness: Product, tile: Tile) -> Tile:
 
 
 def _part_shape(block: tuple[int, int], shape: tuple[int, int]) -> tuple[int, int]:
-    """(rows, cols) of the parts of a file: its blocks, several where they are small, strips as wide as they are."""
+    """(rows, cols) of the parts of a file: its blocks; several if they are small, and strips of full width."""
     rows, cols = (min(-(-PART // b) * b, s) for b, s in zip(block, shape))
     if block[1] >= shape[1] and shape[1] > 4 * PART:
         rows = min(-(-(PART // 8) // block[0]) * block[0], shape[0])

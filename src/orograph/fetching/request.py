@@ -1,5 +1,4 @@
-"""A request: planned first, so that its size is known before anything is read; then read, and made a Dem, a GeoTIFF or
-a store."""
+"""A request: planned first, so that its size is known before reading; then read into a Dem, a GeoTIFF or a store."""
 
 from __future__ import annotations
 
@@ -78,7 +77,7 @@ class Request:
 
     Args:
         area, radius: as for ``fetch``. product: its name. table: a file of products.
-        zoom: of web-mercator tiles. absent: "sea" or "missing", overriding what the product says.
+        zoom: of web-mercator tiles. absent: "sea" or "missing", instead of the product's.
         to_vertical, geoid: as for ``Mosaic.open``.
         most: bytes of heights that may be read; None: any number.
         connections: requests at once.
@@ -170,7 +169,7 @@ class Request:
             write_geotiff(path, source, raster, self.vertical(raster), self.progress)
 
     def build(self, url: str, **options: Any) -> Any:
-        """Build a store and open it; options as of ``store.build``."""
+        """Build a store and open it; options as for ``store.build``."""
         from orograph.dem.mosaic import Mosaic
         from orograph.store.build import build
 
@@ -201,7 +200,7 @@ class Request:
         return ConvertedLattice(group([raster], [raster.grid])[0], self.geoid, self.to_vertical)
 
     def _flat(self, raster: Fetched) -> CRS | None:
-        """A CRS that is true to scale instead of web Mercator; None: the one that a mosaic chooses."""
+        """A CRS that is true to scale in place of web Mercator; None: the one that a mosaic chooses."""
         if self.product.tiling != "web-mercator":
             return None
         box = self.plan.box
@@ -231,10 +230,11 @@ class Request:
 
 
 def _geoid(product: Product, box: Box, to: Direction, geoid: Geoid | str | os.PathLike[str]) -> Geoid:
-    """The geoid grid that converts a product's heights, before any is read.
+    """The geoid grid that converts a product's heights, opened before any are read.
 
     Raises:
-        UsageError: it is not for their datum. ReadError: it cannot be read.
+        UsageError: it is not for their datum.
+        ReadError: it cannot be read.
     """
     if product.datum is None:
         raise UsageError(

@@ -1,13 +1,14 @@
 """Which samples of which tiles an area needs, and their common grid: index arithmetic, no network.
 
-All samples of a product lie on one lattice around the globe, cut into tiles; each sample has one tile that owns it, so
-rows and columns at the seams appear once. A tile of degrees whose south-west corner is (L, W) owns the samples of
-latitudes in (L, L + side] and longitudes in [W, W + side): that is how the COGs of the Copernicus DEM are cut; tiles
-that share their borders (SRTM) have one row and one column more. An area gets the samples that surround it: one beyond
-its bounds, unless a sample (of products whose cells lie on whole degrees: the border of a cell) lies on the bound.
+All samples of a product lie on one lattice around the globe, cut into tiles; one tile owns each sample, so rows and
+columns at the seams appear once. A tile of degrees whose south-west corner is (L, W) owns the samples of latitudes in
+(L, L + side] and longitudes in [W, W + side), as the COGs of the Copernicus DEM are cut; tiles that share their borders
+(SRTM) have one row and one column more. An area gets the samples that surround it: one beyond its bounds, unless a
+sample lies on the bound (for products whose cells lie on whole degrees: the border of a cell).
 
-Polewards the columns of some products lie farther apart. The grid has those of the tiles nearest to the equator;
-rows of other tiles, whose latitudes are the same, are interpolated along the row. Units: samples; degrees or metres.
+Towards the poles, the columns of some products lie farther apart. The grid has the columns of the tiles nearest to the
+equator; rows of other tiles, whose latitudes are the same, are interpolated along the row. Units: samples; degrees or
+metres.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from orograph.fetching.areas import Box
 from orograph.fetching.products import Product
 from orograph.geo.grid import Grid
 
-EPS = 1e-6  # of a sample: bounds that lie on a sample but for rounding
+EPS = 1e-6  # of a sample: bounds that lie on a sample up to rounding
 MERCATOR = 20037508.342789244  # half of the circumference of EPSG:3857, metres
 MOST_LATITUDE = 85.0511287798066  # of EPSG:3857's square
 
@@ -37,8 +38,8 @@ class Tile:
 
     Attributes:
         row, col: from the north-west one. zoom: of web-mercator tiles. key: its name, for people and files.
-        url: where it lies. location: what GDAL opens. grid: the samples that it owns; None: what its file says.
-        covered: whether the product says that it covers this place.
+        url: where it lies. location: what GDAL opens. grid: the samples that it owns; None: its file defines them.
+        covered: whether the product claims to cover this place.
     """
 
     row: int
@@ -66,7 +67,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Rows of an area whose columns lie equally far apart.
+    """Rows of an area with one spacing of columns.
 
     Attributes:
         row0, row1: of the area. cols: of the band's own samples. pieces: that fill it.
@@ -88,7 +89,7 @@ class Band:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """An area's grid and the bands of tiles that it is made of."""
+    """An area's grid and its bands of tiles."""
 
     grid: Grid
     bands: tuple[Band, ...]
@@ -107,7 +108,7 @@ def lay_out(product: Product, box: Box, zoom: int | None = None, header: Grid | 
         header: of a product of one file, its grid.
 
     Raises:
-        UsageError: the product has nothing there, or no such zoom.
+        UsageError: the product covers no part of it, or has no such zoom.
     """
     _, south, _, north = product.extent
     if box.north <= south or box.south >= north:
@@ -140,7 +141,7 @@ def _degrees(product: Product, box: Box) -> Layout:
     finest = min(factors)
     columns = round(per_degree / finest)
     col0, col1 = _covering((box.west + 180) * columns, (box.east + 180) * columns, point)
-    col1 = min(col1, col0 + 360 * columns)  # the whole globe has each meridian once
+    col1 = min(col1, col0 + 360 * columns)  # the whole globe includes each meridian once
     half = 0.5 if point else 0.0
     transform = Affine(
         1 / columns, 0, (col0 - half) / columns - 180, 0, -1 / per_degree, 90 - (row0 - half) / per_degree
@@ -213,7 +214,7 @@ def _mercator(product: Product, box: Box, zoom: int) -> Layout:
 
 
 def _one(product: Product, box: Box, whole: Grid) -> Layout:
-    """A window of one file: geographic, or of a cylindrical projection along whose rows longitudes grow evenly."""
+    """A window of one file, in a geographic CRS or a cylindrical projection along whose rows longitudes grow evenly."""
     assert whole.crs is not None
     base = whole.crs if whole.crs.is_geographic else whole.crs.geodetic_crs
     there = Transformer.from_crs(base, whole.crs, always_xy=True)
@@ -250,8 +251,10 @@ def _covering(low: float, high: float, point: bool) -> tuple[int, int]:
 
 
 def _cut(first: int, end: int, size: int, shared: bool) -> Iterator[tuple[int, int, int]]:
-    """(tile, from, to) of samples [first, end) cut into tiles of ``size``; a last one that a tile shares with the one
-    before is left to that."""
+    """Samples [first, end) cut into tiles of ``size``: (tile, from, to).
+
+    A last sample that a tile shares with the one before is left to that.
+    """
     at = first
     while at < end:
         tile = at // size
@@ -263,7 +266,7 @@ def _cut(first: int, end: int, size: int, shared: bool) -> Iterator[tuple[int, i
 
 
 def _along(first: int, end: int, size: int, shared: bool) -> Iterator[tuple[int, int, int, int]]:
-    """As ``_cut``, and where each begins, counted from ``first``."""
+    """Like ``_cut``, with the position of each piece, counted from ``first``."""
     for tile, low, high in _cut(first, end, size, shared):
         yield tile, low, high, tile * size + low - first
 

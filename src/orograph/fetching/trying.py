@@ -1,4 +1,4 @@
-"""Check whether the rules for the names of products' tiles still hold: ask servers for a tile that they must have."""
+"""Check whether the rules for tile names still hold: ask servers for tiles that they must have."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from orograph.parallel import map_ordered
 def tried(
     table: str | os.PathLike[str] | None = None, name: str | None = None
 ) -> Iterator[tuple[Product, str, Answer]]:
-    """Products, the URL of a tile at their ``sample``, and what its server answers now.
+    """Products, the URL of a tile at their ``sample``, and its server's current answer.
 
     Args:
         table: a file of products. name: of one product; None: all.
     """
-    asked = [product_named(name, table)] if name is not None else list(products(table).values())
-    urls = [_url(product) for product in asked]
+    chosen = [product_named(name, table)] if name is not None else list(products(table).values())
+    urls = [_url(product) for product in chosen]
     answers = map_ordered(lambda url: ask(url, again=False), urls, 4)
-    for product, url, answer in zip(asked, urls, answers):
+    for product, url, answer in zip(chosen, urls, answers):
         yield product, public(url), answer
 
 

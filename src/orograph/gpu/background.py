@@ -1,4 +1,4 @@
-"""One thing made at a time in a thread of its own, for a loop that must not wait."""
+"""One task at a time in a background thread, for a loop that must not wait."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from collections.abc import Callable
 from typing import Any
 
 PATIENCE = 2.0
-"""Seconds that an ending program waits for its threads: one that is in a native library when the interpreter is gone
-may crash."""
+"""Seconds that an ending program waits for its threads: one still in a native library after the interpreter ends may
+crash."""
 
 _RUNNING: set[threading.Event] = set()
 
 
 class BackgroundTask:
-    """One thing made at a time in a thread, the newest wish next.
+    """Makes one thing at a time in a thread; the newest request is next.
 
     Attributes:
-        done: the key of what was made last.
+        done: the key of the last result.
     """
 
     def __init__(self) -> None:
@@ -35,14 +35,14 @@ class BackgroundTask:
         return self._ended is not None
 
     def wants(self, key: Any) -> bool:
-        """Whether something is to be made for ``key`` and nothing is under way."""
+        """Whether to make something for ``key``, with no task running."""
         return not self._closed and self._ended is None and self.done != key
 
     def start(self, key: Any, make: Callable[[], Any], then: Callable[[], None] = lambda: None) -> None:
-        """Begin to make something; the program waits for it ``PATIENCE`` seconds when it ends.
+        """Start a task; the program waits for it up to ``PATIENCE`` seconds when it ends.
 
         Args:
-            then: called by the thread when there is something to take.
+            then: called by the thread when there is a result.
         """
         ended = threading.Event()
         _RUNNING.add(ended)
@@ -59,10 +59,10 @@ class BackgroundTask:
                     then()
 
         self._key, self._ended = key, ended
-        _thread.start_new_thread(work, ())  # (Thread.start waits until the thread has had the interpreter)
+        _thread.start_new_thread(work, ())  # (Thread.start waits until the thread has held the interpreter lock)
 
     def take(self) -> Any:
-        """What was made since it was last asked for, or None."""
+        """The result since the last call, or None."""
         if self._ended is None or not self._ended.is_set():
             return None
         self._ended, self.done = None, self._key

@@ -1,8 +1,8 @@
-"""How long the GPU works on what is submitted between two marks, by its own clock (timestamp queries).
+"""GPU time between two marks, by the GPU's own clock (timestamp queries).
 
-A mark is an empty compute pass that notes the time; marks and frames run in the order of their submission. Adapters
-without the feature ``timestamp-query`` give None: then there is only the wall's clock, with the queue drained.
-Ticks in, seconds out; how long a tick is only wgpu's native library says (wgpu-py does not pass it on).
+A mark is an empty compute pass that records the time; marks and frames run in the order of their submission. Adapters
+without the feature ``timestamp-query`` give None; then there is only wall time, with the queue drained. Ticks in,
+seconds out; only wgpu's native library knows the length of a tick (wgpu-py does not pass it on).
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from orograph.gpu.device import Device
 
 
 class Clock:
-    """Two marks and what is between them.
+    """Two marks and the time between them.
 
     Attributes:
-        works: whether the adapter tells its time.
+        works: whether the adapter supports timestamps.
     """
 
     def __init__(self, device: Device) -> None:
@@ -39,7 +39,7 @@ class Clock:
         self._mark(1)
 
     def seconds(self) -> float | None:
-        """From the first mark to the second; waits for the GPU. None if it does not tell."""
+        """Seconds from the first mark to the second; waits for the GPU. None without timestamps."""
         if not self.works:
             return None
         encoder = self.device.handle.create_command_encoder()
@@ -72,7 +72,7 @@ class Clock:
 
 
 def _nanoseconds(device: Device) -> float:
-    """Of a tick of the clock."""
+    """Nanoseconds per tick of the clock."""
     try:
         from wgpu.backends.wgpu_native import lib
 

@@ -1,14 +1,14 @@
-"""C types of wgpu's header looked up quickly: half of the time until a window shows something went there.
+"""Fast look-up of C types from wgpu's header, which took half of the time until a window appears.
 
-wgpu-py describes calls to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``), which cffi has
-pycparser read. Two things are made quick, neither changes what comes out; where cffi is built otherwise than expected,
-nothing is done:
+wgpu-py describes calls to the GPU by C structures named in text (``ffi.new("WGPUBufferDescriptor *")``), which cffi
+parses with pycparser. Two steps are made faster, with the same results; if cffi is not built as expected, nothing is
+changed:
 
-- the first time that a text is met it is read together with a ``typedef`` line for each of the header's thousand names
-  (cffi's ``cparser.Parser._parse`` notes that this could be done better): 20 ms for each of a hundred texts. Only names
-  that occur in the text matter to how it is read: with those alone it takes 0.2 ms (``quicken``);
-- the header itself is read at every start: 0.2 s. What came of it is kept in the cache folder, by the header's text and
-  the versions of all that reads it (``remembered``): 5 ms.
+- the first time a text occurs, it is parsed together with a ``typedef`` line for each of the header's thousand names
+  (cffi's ``cparser.Parser._parse`` notes that this could be improved): 20 ms for each of a hundred texts. Only names
+  that occur in the text affect how it is parsed; with those alone it takes 0.2 ms (``quicken``);
+- the header itself is parsed at every start: 0.2 s. The result is kept in the cache folder, by the header's text and
+  the versions of the parsers (``remembered``): 5 ms.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from typing import Any
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
 _LARGE = 10_000
-"""Characters of declarations that are worth being remembered."""
+"""Minimum characters of declarations that are worth storing."""
 
 
 def quicken(ffi: Any) -> bool:
-    """Have an ``ffi`` read names of types quickly; whether it does. A second time changes nothing."""
+    """Let an ``ffi`` parse names of types fast; returns whether it does. A second call changes nothing."""
     parser = getattr(ffi, "_parser", None)
     parse = getattr(parser, "_parse", None)
     if parser is None or not callable(parse) or not isinstance(getattr(parser, "_declarations", None), dict):
@@ -39,7 +39,7 @@ def quicken(ffi: Any) -> bool:
         return True
 
     def quick(text: str) -> Any:
-        """Parse with the typedefs of the names in the text only; callers hold the ffi's lock."""
+        """Parse with only the typedefs of the names in the text; callers hold the ffi's lock."""
         known = parser._declarations
         words = {f"typedef {word}" for word in _WORD.findall(text)}
         parser._declarations = {name: known[name] for name in words if name in known}
@@ -55,7 +55,7 @@ def quicken(ffi: Any) -> bool:
 
 @contextlib.contextmanager
 def remembered(folder: Path) -> Iterator[None]:
-    """While this lasts, long declarations (``FFI.cdef``) are taken from a folder if they were read before."""
+    """A context in which long declarations (``FFI.cdef``) come from a folder if they were parsed before."""
     cffi: Any = importlib.import_module("cffi")
     real = cffi.FFI.cdef
 
@@ -83,14 +83,14 @@ def remembered(folder: Path) -> Iterator[None]:
 
 
 def _name(csource: str) -> str:
-    """What declarations are kept under: their text, and who reads it."""
+    """The key of stored declarations: their text, and the parsers."""
     versions = (str(importlib.import_module(name).__version__) for name in ("cffi", "pycparser"))
     readers = "\n".join((sys.version, sys.platform, *versions, ""))
     return hashlib.sha256((readers + csource).encode()).hexdigest()[:24]
 
 
 def _constants() -> dict[str, Any]:
-    """Types that cffi knows by identity: they are kept by name."""
+    """Types that cffi compares by identity: they are stored by name."""
     model = importlib.import_module("cffi.model")
     return {name: getattr(model, name) for name in ("void_type", "voidp_type", "char_array_type")}
 
@@ -104,7 +104,7 @@ def _load(path: Path) -> tuple[dict[str, Any], dict[str, int], int] | None:
 
     try:
         declarations, numbers, counter = Reader(io.BytesIO(path.read_bytes())).load()
-    except Exception:  # not there, damaged, of another time: then it is read from the header
+    except Exception:  # missing, damaged or outdated: parse the header
         return None
     if not (isinstance(declarations, dict) and isinstance(numbers, dict) and isinstance(counter, int)):
         return None
@@ -120,7 +120,7 @@ def _keep(path: Path, parser: Any) -> None:
         def persistent_id(self, value: Any) -> str | None:
             return names.get(id(value))
 
-    with contextlib.suppress(Exception):  # a folder that cannot be written: it is read again the next time
+    with contextlib.suppress(Exception):  # the folder is not writable: parse the header again the next time
         out = io.BytesIO()
         Writer(out, 5).dump((parser._declarations, parser._int_constants, parser._anonymous_counter))
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -129,7 +129,7 @@ def _keep(path: Path, parser: Any) -> None:
 
 
 def quicken_wgpu() -> bool:
-    """Load wgpu's library quickly and have its types read quickly; whether it is there."""
+    """Load wgpu's library fast and let its types be parsed fast; returns whether it is installed."""
     try:
         if "wgpu.backends.wgpu_native" not in sys.modules:
             from orograph.folders import cache_folder

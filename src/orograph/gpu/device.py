@@ -1,11 +1,11 @@
-"""A GPU device that may be trusted, and the little that every pass needs of it: shaders, buffers, reading back.
+"""A GPU device that gives correct results, and the basics that every pass needs: shaders, buffers, reading back.
 
-Only Vulkan, Metal and Direct3D 12 are used: wgpu's OpenGL backend computes wrong results without an error on some
-drivers. ``OROGRAPH_ADAPTER`` (a part of an adapter's name, or ``software``) chooses among several; otherwise a discrete
-GPU comes before an integrated one, and that before a software renderer (Mesa's lavapipe, WARP).
+Only Vulkan, Metal and Direct3D 12 are used: on some drivers, wgpu's OpenGL backend computes wrong results without an
+error. ``OROGRAPH_ADAPTER`` (a part of an adapter's name, or ``software``) chooses among several; by default, discrete
+GPUs come before integrated ones, and these before software renderers (Mesa's lavapipe, WARP).
 
-Some of wgpu-py 0.32's own helpers fail (waiting for submitted work does); ``Device.wait`` and ``Device.read_texture``
-stand in for them and are the only places that know.
+Some helpers of wgpu-py 0.32 fail (such as waiting for submitted work); ``Device.wait`` and ``Device.read_texture``
+replace them.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orograph.gpu.ctypes_quick import quicken_wgpu
 from orograph.gpu.sources import source
 
 BACKENDS = ("Vulkan", "Metal", "D3D12")
-"""The backends that compute what they are told to."""
+"""The backends that give correct results."""
 
 OPTIONAL = (
     "float32-filterable",
@@ -38,19 +38,20 @@ OPTIONAL = (
     "polygon-mode-line",
     "rg11b10ufloat-renderable",
 )
-"""Features that are used where an adapter has them, never needed."""
+"""Optional features, used if an adapter has them."""
 
 WANTED = (
     ("max-buffer-size", 1 << 31),
     ("max-storage-buffer-binding-size", 1 << 30),
     ("max-texture-dimension-2d", 16384),
     ("max-texture-array-layers", 2048),
-    ("max-storage-buffers-per-shader-stage", 16),  # on software, where uniforms are such (``Device.record``)
+    ("max-storage-buffers-per-shader-stage", 16),  # on software, where uniforms are storage buffers (``Device.record``)
 )
-"""Limits raised this far where an adapter allows it. Pictures are larger and finer for it; none needs it."""
+"""Limits that are raised to this if the adapter allows it, for larger and finer pictures; none is required."""
 
 WRITTEN = 1 << 20
-"""Bytes from which a buffer is written once it is there: wgpu-py fills others in Python, and holds the interpreter."""
+"""Bytes from which a buffer is written after its creation: wgpu-py fills smaller ones in Python, holding the
+interpreter lock."""
 
 _ORDER = {"DiscreteGPU": 0, "IntegratedGPU": 1, "VirtualGPU": 2, "Unknown": 3, "CPU": 4}
 
@@ -62,13 +63,13 @@ class NoAdapterError(OrographError):
 
 
 class DeviceLimitError(OrographError):
-    """What is wanted is larger than the device allows, or than the memory it has left."""
+    """A request exceeds the device's limits, or its remaining memory."""
 
     exit_code = 6
 
 
 LESS = "Ask for less at a time (a smaller picture, part of the terrain, a shorter radius), or use the CPU."
-"""What to do where a device has not enough for what is asked of it, if nothing better is known."""
+"""The default remedy if a request exceeds a device's memory or limits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,10 +77,10 @@ class Adapter:
     """An adapter that the system offers.
 
     Attributes:
-        name: the driver's name of it.
+        name: the driver's name for it.
         kind: DiscreteGPU, IntegratedGPU, VirtualGPU, CPU (software) or Unknown.
         backend: Vulkan, Metal, D3D12 (or OpenGL, which is not used).
-        driver: what the driver says of itself.
+        driver: the driver's description.
         usable: whether its backend is one of ``BACKENDS``.
     """
 
@@ -97,7 +98,7 @@ class Adapter:
 
 
 def adapters() -> list[Adapter]:
-    """All adapters, the best first; [] if there is none.
+    """All adapters, the best first; [] if there are none.
 
     Raises:
         NoAdapterError: wgpu is not installed.
@@ -119,7 +120,7 @@ def adapters() -> list[Adapter]:
 
 @contextmanager
 def _runtime_folder() -> Iterator[None]:
-    """Spare users without a desktop session the complaints that Mesa prints where XDG_RUNTIME_DIR is not set."""
+    """Avoid Mesa's messages about a missing XDG_RUNTIME_DIR for users without a desktop session."""
     if sys.platform != "linux" or os.environ.get("XDG_RUNTIME_DIR"):
         yield
         return
@@ -135,7 +136,7 @@ def choose(wanted: str | None = None) -> Adapter:
     """The adapter to use.
 
     Args:
-        wanted: a part of its name, or "software"; None: what ``OROGRAPH_ADAPTER`` says, else the best.
+        wanted: a part of its name, or "software"; None: that of ``OROGRAPH_ADAPTER``, or the best.
 
     Raises:
         NoAdapterError: there is none, or none of that name.
@@ -168,7 +169,7 @@ class Device:
         adapter: where it runs.
         handle: wgpu's device; ``queue``: its queue.
         features: the optional features it has.
-        portable: whether it has what every browser with WebGPU has, and no more.
+        portable: whether it has only the limits and features of every browser with WebGPU.
         lost: why the device was lost, or None.
     """
 
@@ -186,28 +187,28 @@ class Device:
 
     @property
     def computes(self) -> bool:
-        """Whether compute shaders do what pixels need one by one (rays, light), and not fragments.
+        """Whether compute shaders should do work per pixel (rays, light), instead of fragment shaders.
 
-        On most GPUs either takes as long. On those of data centers few processors run fragments (on an H100 or H200 2
-        of 66 clusters). Software runs fragments as fast, and spares the copy.
+        On most GPUs both are equally fast. On data-center GPUs few processors run fragments (on an H100 or H200, 2 of
+        66 clusters). Software adapters run fragments as fast, and this avoids a copy.
         """
         return not self.adapter.software
 
     @property
     def record(self) -> str:
-        """The type of binding that what shaders call uniform has: a storage buffer on software.
+        """The type of binding for uniforms in shaders: a storage buffer on software.
 
-        Mesa's lavapipe compiles a shader anew, in milliseconds, whenever a pass begins with uniforms that its branches
-        depend on, and keeps every one.
+        Mesa's lavapipe recompiles a shader, in milliseconds, whenever a pass begins with uniforms on which its branches
+        depend, and keeps every version.
         """
         return "read-only-storage" if self.adapter.software and not self.portable else "uniform"
 
     def shader(self, name: str, constants: dict[str, int | float] | None = None) -> Any:
-        """The compiled module ``shaders/NAME.wgsl``, its includes put in.
+        """The compiled module ``shaders/NAME.wgsl``, with its includes.
 
         Args:
             name: file name without ``.wgsl``.
-            constants: values for ``{{NAME}}`` in the text: what must be known when it is compiled.
+            constants: values for ``{{NAME}}`` in the text, known at compile time.
         """
         key = name + repr(sorted((constants or {}).items()))
         if key not in self._modules:
@@ -218,32 +219,32 @@ class Device:
         return self._modules[key]
 
     def group_layout(self, entries: list[dict[str, Any]]) -> Any:
-        """The bind group layout of some entries (``program.Binding.entry``): one for equal entries."""
+        """The bind group layout of entries (``program.Binding.entry``); equal entries share one."""
         key = repr(entries)
         if key not in self._layouts:
-            told = [{key: _spelled(value) for key, value in entry.items()} for entry in entries]
-            for entry in told:
+            spelled = [{key: _spelled(value) for key, value in entry.items()} for entry in entries]
+            for entry in spelled:
                 if entry.get("buffer", {}).get("type") == "uniform":
                     entry["buffer"]["type"] = self.record
             self._layouts[key] = self.handle.create_bind_group_layout(entries=[
-                {_snake(name): value for name, value in entry.items()} for entry in told
+                {_snake(name): value for name, value in entry.items()} for entry in spelled
             ])  # fmt: skip
         return self._layouts[key]
 
     def limit(self, name: str) -> int:
-        """A limit of the device by WebGPU's name of it, with hyphens."""
+        """A limit of the device by WebGPU's name, with hyphens."""
         return int(self.handle.limits[name])
 
     @property
     def largest(self) -> int:
-        """Bytes of the largest buffer that shaders can look things up in."""
+        """Bytes of the largest buffer that shaders can read."""
         return min(self.limit("max-buffer-size"), self.limit("max-storage-buffer-binding-size"))
 
     def buffer(self, data: NDArray[Any] | int, usage: str, label: str = "", remedy: str = LESS) -> Any:
         """A buffer, filled with an array or of a given number of bytes.
 
         Args:
-            usage: names of wgpu.BufferUsage, joined by ``|``. label: what it holds.
+            usage: names of wgpu.BufferUsage, joined by ``|``. label: its content.
             remedy: what to do if it is too large.
 
         Raises:
@@ -259,7 +260,7 @@ class Device:
             flags |= wgpu.BufferUsage.STORAGE
         size = data if isinstance(data, int) else data.nbytes
         most = self.limit("max-buffer-size")
-        if "STORAGE" in words:  # bound whole; of uniforms records are bound one at a time
+        if "STORAGE" in words:  # bound as a whole; uniforms are bound one record at a time
             most = self.largest
         if size > most:
             raise DeviceLimitError(
@@ -278,7 +279,7 @@ class Device:
 
     @contextmanager
     def _spared(self, label: str, size: int, remedy: str) -> Iterator[None]:
-        """Tell in plain words that memory has run out."""
+        """Report in plain words that memory has run out."""
         import wgpu
 
         try:
@@ -318,7 +319,7 @@ class Device:
             )  # fmt: skip
 
     def wait(self) -> None:
-        """Return when all work submitted so far is done."""
+        """Wait until all work submitted so far is done."""
         probe = self.buffer(4, "COPY_SRC")
         self.queue.read_buffer(probe)
 
@@ -344,7 +345,7 @@ def _snake(name: str) -> str:
 
 
 def _spelled(value: Any) -> Any:
-    """A copy of a descriptor's field with wgpu-py's spelling of the names in it."""
+    """A copy of a descriptor's field with wgpu-py's spelling of its names."""
     return {_snake(name): inner for name, inner in value.items()} if isinstance(value, dict) else value
 
 
@@ -353,7 +354,7 @@ _OPEN: dict[str, Device] = {}
 
 
 def has_adapter() -> bool:
-    """Whether this process has an adapter to use."""
+    """Whether this process has a usable adapter."""
     try:
         choose()
     except NoAdapterError:
@@ -362,11 +363,11 @@ def has_adapter() -> bool:
 
 
 def open_device(wanted: str | None = None, *, portable: bool = False) -> Device:
-    """The device on the chosen adapter (see ``choose``): one for the process, made on first use, made anew if lost.
+    """The device on the chosen adapter (see ``choose``): one per process, opened on first use, and again if it is lost.
 
     Args:
-        portable: WebGPU's default limits and no optional feature, as in any browser: what draws on such a device can be
-            drawn on a page.
+        portable: WebGPU's default limits and no optional feature, as in any browser: everything that works on such a
+            device works on a web page.
 
     Raises:
         NoAdapterError: there is no adapter, or its device cannot be made.

@@ -1,14 +1,14 @@
-"""Shaders with their bindings: what a shader's text declares is what it is bound by, and nothing says it again.
+"""Shaders with their bindings, which are derived from the shader's text.
 
-WGSL names a variable for every resource: ``@group(1) @binding(4) var<storage, read> pages: array<u32>;``. From those
-lines come the layouts that WebGPU asks for, and resources are given by the variables' names. What the types leave open
-is decided as WebGPU's own ``layout: "auto"`` decides it: a float texture is filterable if it is sampled with a sampler
-somewhere in the text. Unlike automatic layouts, equal ones are the same object, so that pipelines share bind groups;
-resources are visible to all stages of the shader. A uniform whose line ends with ``// dynamic`` holds records, of which
-each draw sees one.
+WGSL names a variable for every resource: ``@group(1) @binding(4) var<storage, read> pages: array<u32>;``. These lines
+determine the layouts that WebGPU needs, and resources are given by the variables' names. Details that the types leave
+open follow WebGPU's own ``layout: "auto"``: a float texture is filterable if it is sampled with a sampler anywhere in
+the text. Unlike automatic layouts, equal ones are the same object, so that pipelines share bind groups; resources are
+visible to all stages of the shader. A uniform whose line ends with ``// dynamic`` holds records, of which each draw
+sees one.
 
-``Binding.entry`` is a ``GPUBindGroupLayoutEntry`` as JSON has it, so a page can be given the same shaders with the same
-bindings.
+``Binding.entry`` is a ``GPUBindGroupLayoutEntry`` in its JSON form, so a web page can use the same shaders with the
+same bindings.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Binding:
 
     Attributes:
         group, index, name: ``@group(group) @binding(index) var name``.
-        entry: WebGPU's description of it (``GPUBindGroupLayoutEntry``), with its names.
+        entry: WebGPU's description of it (``GPUBindGroupLayoutEntry``), with WebGPU's names.
     """
 
     group: int
@@ -49,10 +49,10 @@ class Binding:
 
 
 def bindings(text: str) -> tuple[Binding, ...]:
-    """What the text of a shader declares, by group and index.
+    """The resources that the text of a shader declares, by group and index.
 
     Args:
-        text: WGSL as ``sources.source`` gives it, includes and constants put in.
+        text: WGSL from ``sources.source``, with includes and constants.
 
     Raises:
         ValueError: a type that is not known here, or two variables at one place.
@@ -76,7 +76,7 @@ def bindings(text: str) -> tuple[Binding, ...]:
 
 
 def _kind(space: str, of: str, sampled: bool, *, dynamic: bool) -> dict[str, Any]:
-    """The part of an entry that says what the resource is, by the words of its declaration."""
+    """The part of an entry that describes the kind of resource, from the words of its declaration."""
     words = space.replace(" ", "")
     if words == "uniform":
         return {"buffer": {"type": "uniform", "hasDynamicOffset": dynamic}}
@@ -114,7 +114,7 @@ class Group:
         """A bind group of buffers, textures (or their views) and samplers, by the names of the shader's variables.
 
         Args:
-            sizes: bytes that are seen of a buffer; of a dynamic uniform, those of one of its records.
+            sizes: visible bytes of a buffer; for a dynamic uniform, those of one record.
 
         Raises:
             KeyError: a resource is missing, or there is no variable of its name.
@@ -140,7 +140,7 @@ def _declared(name: str, constants: tuple[tuple[str, int | float], ...]) -> tupl
 
 
 class Program:
-    """A shader on a device: its groups are known at once, it is compiled when its module is first asked for.
+    """A shader on a device: its groups are known at once, and it is compiled when its module is first used.
 
     Args:
         name: ``shaders/NAME.wgsl``. constants: values for ``{{NAME}}`` in its text.
@@ -186,8 +186,8 @@ class Program:
         """A render pipeline.
 
         Args:
-            targets: what it draws into (``GPUColorTargetState``). vertex, fragment: the entry points.
-            buffers: of vertices. primitive: other than triangles of which both sides are seen.
+            targets: to draw into (``GPUColorTargetState``). vertex, fragment: the entry points.
+            buffers: of vertices. primitive: if not triangles without culling.
             depth: ``GPUDepthStencilState``.
         """
         return self.device.handle.create_render_pipeline(

@@ -1,10 +1,9 @@
-"""Buffers read back by a thread while frames go on.
+"""Buffers read back by a thread while frames continue.
 
-wgpu-py waits for a buffer in a thread of its own, inside the native library (``wgpuDevicePoll``), which lets nobody
-submit anything until all that was submitted is done (wgpu 29: https://github.com/gfx-rs/wgpu/issues/9470). A frame that
-is handed over meanwhile waits with it. Here the library is asked again and again whether it is done.
-
-Where wgpu-py is not as expected its own way is taken, as in ``recording``.
+wgpu-py waits for a buffer in its own thread, inside the native library (``wgpuDevicePoll``), which blocks all
+submissions until everything submitted is done (wgpu 29: https://github.com/gfx-rs/wgpu/issues/9470). A frame submitted
+meanwhile waits too. Here, the library is polled until it is done. If wgpu-py is not as expected, its own way is used,
+as in ``recording``.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 
 AGAIN = 0.0005
-"""Seconds until the library is asked again."""
+"""Seconds between two polls of the library."""
 
 
 def read_aside(device: Device, buffer: Any, dtype: Any = np.uint8) -> NDArray[Any]:
@@ -35,21 +34,21 @@ def read_aside(device: Device, buffer: Any, dtype: Any = np.uint8) -> NDArray[An
     encoder = device.handle.create_command_encoder()
     encoder.copy_buffer_to_buffer(buffer, 0, read, 0, size)
     device.queue.submit([encoder.finish()])
-    told: list[int] = []
+    statuses: list[int] = []
 
     @ffi.callback("void(WGPUMapAsyncStatus, WGPUStringView, void *, void *)")  # type: ignore[untyped-decorator]
     def mapped(status: int, message: Any, first: Any, second: Any) -> None:
-        told.append(status)
+        statuses.append(status)
 
     map_async(
         read._internal, lib.WGPUMapMode_Read, 0, size,
         new_struct("WGPUBufferMapCallbackInfo", mode=lib.WGPUCallbackMode_AllowProcessEvents, callback=mapped),
     )  # fmt: skip
-    while not told:
+    while not statuses:
         lib.wgpuDevicePoll(handle, False, ffi.NULL)
-        if not told:
+        if not statuses:
             time.sleep(AGAIN)
-    if told[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py says what is wrong
+    if statuses[0] != lib.WGPUMapAsyncStatus_Success:  # wgpu-py reports the error
         return device.read_buffer(buffer, dtype)
     found = np.frombuffer(bytes(ffi.buffer(lib.wgpuBufferGetConstMappedRange(read._internal, 0, size), size)), dtype)
     read.destroy()

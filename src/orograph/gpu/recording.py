@@ -1,11 +1,11 @@
-"""Render passes and writes with a fraction of wgpu-py's Python: a frame is the same few of them, again and again.
+"""Render passes and writes with a fraction of wgpu-py's Python overhead, because every frame repeats the same few.
 
-wgpu-py describes what a pass draws into by dictionaries, which it checks and copies into C structures every time, and
-looks for errors after every call. Here attachments are described once (``Attachments``), and what is recorded between
-the beginning and the end of a pass goes straight to the native library: by WebGPU's rules what is wrong with it is not
-told before the pass or the encoder ends, and those calls are wgpu-py's own, as are its errors.
+wgpu-py describes the attachments of a pass by dictionaries, which it checks and copies into C structures every time,
+and checks for errors after every call. Here, attachments are described once (``Attachments``), and calls between the
+beginning and the end of a pass go straight to the native library. By WebGPU's rules, their errors are not reported
+before the pass or the encoder ends, and those calls are wgpu-py's own, as are its errors.
 
-Where wgpu-py is not as expected (another backend, another version) its own passes are used: they have the same methods.
+If wgpu-py is not as expected (another backend, another version), its own passes are used, which have the same methods.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from orograph.gpu.device import Device
 
 KEEP = "keep"
-"""Of depth: it is looked at and stays as it is."""
+"""A depth attachment that is read and not changed."""
 
 Color = tuple[Any, tuple[float, float, float, float] | None]
-"""A texture's view, and what it is cleared with; None: what it holds is loaded."""
+"""A texture's view, and its clear value; None: its content is loaded."""
 
 
 class Attachments:
-    """What a pass draws into: described once, begun as often as there are frames.
+    """The attachments of a pass: described once, used in every frame.
 
     Args:
         colours: the views. depth: a view and what it is cleared with, None (it is loaded), or ``KEEP``.
@@ -37,7 +37,7 @@ class Attachments:
         self._described = None if self._native is None else self._native.described(self._colors, depth)
 
     def begin(self, encoder: Any) -> Any:
-        """Begin a pass of a command encoder of wgpu-py: a ``GPURenderPassEncoder``, or what does as it does."""
+        """Begin a pass of a wgpu-py command encoder: a ``GPURenderPassEncoder``, or an equivalent."""
         if self._native is not None:
             return self._native.begin(encoder, self._described)
         colors = [
@@ -60,7 +60,7 @@ class Attachments:
 
 
 def begin_compute(encoder: Any) -> Any:
-    """Begin a compute pass of a command encoder of wgpu-py: a ``GPUComputePassEncoder``, or what does as it does."""
+    """Begin a compute pass of a wgpu-py command encoder: a ``GPUComputePassEncoder``, or an equivalent."""
     native = _native()
     return encoder.begin_compute_pass() if native is None else native.begin_compute(encoder)
 
@@ -144,7 +144,7 @@ class _Native:
         self.write: Callable[[Any, Any, Any], None] = write
 
     def described(self, colors: tuple[Color, ...], depth: tuple[Any, float | str | None] | None) -> tuple[Any, ...]:
-        """The C structure of a pass, and what it points to."""
+        """The C structure of a pass, and the objects it points to."""
         ffi, lib = self._ffi, self._lib
         targets = ffi.new("WGPURenderPassColorAttachment[]", len(colors))
         for target, (view, clear) in zip(targets, colors, strict=True):
@@ -189,7 +189,7 @@ def _ended_by(end: Any, let_go: Any) -> type:
                 let_go(internal)
 
         def __del__(self) -> None:
-            if self._internal is not None:  # an error came before its end
+            if self._internal is not None:  # an error occurred before its end
                 let_go(self._internal)
 
     return Recorded
@@ -248,7 +248,7 @@ def _pass_class(lib: Any, checked: Any, ffi: Any) -> type:
 
 
 def _compute_class(lib: Any, checked: Any, ffi: Any) -> type:
-    """As ``_pass_class``, of compute passes."""
+    """Like ``_pass_class``, for compute passes."""
     pipeline, group, dispatch, dispatch_indirect, let_go = (
         lib.wgpuComputePassEncoderSetPipeline, lib.wgpuComputePassEncoderSetBindGroup,
         lib.wgpuComputePassEncoderDispatchWorkgroups, lib.wgpuComputePassEncoderDispatchWorkgroupsIndirect,
@@ -280,7 +280,7 @@ _FOUND: list[_Native | None] = []
 
 
 def _native() -> _Native | None:
-    """The native functions, None where wgpu-py has others."""
+    """The native functions; None if wgpu-py has others."""
     if not _FOUND:
         try:
             _FOUND.append(_Native())

@@ -1,4 +1,4 @@
-"""The texts of shaders: files of WGSL that include others, with parts that depend on constants."""
+"""The texts of shaders: WGSL files that include others, with parts that depend on constants."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ _WHEN = re.compile(r"^ *//\s*(when|unless):\s*(\w+)\s*\n(.*?)^ *//\s*end: \2\s*$
 
 
 def source(name: str, constants: dict[str, int | float] | None = None) -> str:
-    """The text of ``shaders/NAME.wgsl``: ``// include: OTHER.wgsl`` replaced by that file once, constants put in.
+    """The text of ``shaders/NAME.wgsl`` with its includes and constants.
 
-    Lines between ``// when: NAME`` and ``// end: NAME`` are left out unless there is a constant of that name, not 0;
-    those between ``// unless: NAME`` and its end if there is one.
+    ``// include: OTHER.wgsl`` is replaced by that file, once. Lines between ``// when: NAME`` and ``// end: NAME`` are
+    left out unless there is a constant of that name that is not 0; those between ``// unless: NAME`` and its end, if
+    there is one.
     """
     seen: set[str] = set()
     given = constants or {}

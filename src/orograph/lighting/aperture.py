@@ -1,15 +1,15 @@
-"""Ambient aperture lighting: what each sample sees of the sky as one spherical cap, and light through such caps.
+"""Ambient aperture lighting: the sky that each sample sees as one spherical cap, and light through such caps.
 
-Oat & Sander 2007, "Ambient aperture lighting", I3D. *Before*: for every sample the sky that is visible (above the
-horizon and above the ground's own plane) is replaced by a cap, whose direction is the mean of the visible directions
-and whose solid angle is theirs, so that cos(radius) = 1 − Ω / 2π. *Then*, for any lights, as often as they move: a sun
-is a disc, so its visible part is the overlap of two caps (``caps``): all, nothing, or a smoothstep in between (or the
-exact lens), and the cosine of incidence is taken in the middle of the overlap. Point lights are visible inside the cap
-and hidden outside. The sky is an area light over the whole hemisphere: through a cap it gives sin²(radius) ⟨n, c⟩ of
-what level open ground receives (exact for a cap above the ground's plane), less what suns cover of it.
+Oat & Sander 2007, "Ambient aperture lighting", I3D. *Precomputed*: for every sample, the visible sky (above the horizon
+and above the ground's own plane) is replaced by a cap, whose direction is the mean of the visible directions and whose
+solid angle is theirs, so that cos(radius) = 1 − Ω / 2π. *Then*, for any lights, however they move: a sun is a disc, so
+its visible part is the overlap of two caps (``caps``): all, nothing, or a smoothstep in between (or the exact lens),
+and the cosine of incidence is taken in the middle of the overlap. Point lights are visible inside the cap and hidden
+outside. The sky is an area light over the whole hemisphere: through a cap it gives sin²(radius) ⟨n, c⟩ of what level
+open ground receives (exact for a cap above the ground's plane), minus the part that suns cover.
 
-Bands of the product: ``east``, ``north``, ``up`` (a unit vector), ``radius`` (degrees). Where nothing is seen the
-radius is 0 and the direction up. From horizons (``azimuths`` of them) or from ``rays``, spread evenly over the upper
+Bands of the product: ``east``, ``north``, ``up`` (a unit vector), ``radius`` (degrees). If nothing is visible, the
+radius is 0 and the direction up. Caps come from ``azimuths`` horizons or from ``rays``, spread evenly over the upper
 hemisphere. One cap cannot express which side of a valley is open and how far down; see the manual for the errors.
 """
 
@@ -50,8 +50,8 @@ class Lamp:
     """A point of light.
 
     Attributes:
-        col, row: where it hangs, in sample coordinates. height: metres, of the terrain's datum.
-        colour: irradiance that it gives at a distance of one metre.
+        col, row: its place in sample coordinates. height: metres, in the terrain's datum.
+        colour: its irradiance at a distance of one metre.
     """
 
     col: float
@@ -61,8 +61,9 @@ class Lamp:
 
     @classmethod
     def at(cls, grid: Grid, x: float, y: float, height: float, reach: float, color: Color = (1.0, 1.0, 1.0)) -> Lamp:
-        """A lamp at a place of the grid's CRS that gives ``color`` ((1, 1, 1) is about a sun at 45°) ``reach`` metres
-        away, square to it; four times that at half the distance.
+        """A lamp at a place of the grid's CRS that gives ``color`` on a surface facing it, ``reach`` metres away.
+
+        (1, 1, 1) is about the sun at 45°. At half the distance it gives four times as much.
 
         Raises:
             UsageError: the reach is not a positive number of metres.
@@ -79,9 +80,9 @@ class Lights:
     """All light sources of a terrain.
 
     Attributes:
-        suns: discs, with the irradiance of a surface square to each, all of it seen.
+        suns: discs, with the irradiance of a surface that faces the whole disc.
         lamps: points.
-        ambient: irradiance of level ground by the sky, if all of it is seen.
+        ambient: irradiance of level ground by the whole sky.
     """
 
     suns: Sequence[tuple[Sun, Color]] = ()
@@ -89,7 +90,7 @@ class Lights:
     ambient: Color = (0.0, 0.0, 0.0)
 
     def tables(self, linear: Array) -> LightTables:
-        """The lights as kernels take them."""
+        """The lights in the form of kernels."""
         from orograph.lighting.aperture_kernels import LightTables
 
         suns, lamps = np.zeros((len(self.suns), 10)), np.zeros((len(self.lamps), 6))
@@ -124,7 +125,7 @@ def make(context: Context) -> Blocks | Sweep:
 
 
 def check(options: Options) -> None:
-    """Raise UsageError if the method, rays and curvature of the options do not go together."""
+    """Raise UsageError if the method, rays and curvature in the options do not fit together."""
     method: Method = options.more.get("method", "horizon")
     if method not in ("horizon", "rays"):
         raise UsageError(f"There is no method {method!r} for apertures; the methods are horizon and rays.")
@@ -193,19 +194,19 @@ def aperture(
 
 
 def field(caps: Values) -> Values:
-    """Caps (4, rows, cols) of the product → (rows, cols, 4) with the radius as its cosine, as kernels take them."""
+    """Caps (4, rows, cols) of the product → (rows, cols, 4) with the cosine of the radius, as kernels take them."""
     out = np.ascontiguousarray(np.moveaxis(caps, 0, -1))
     out[..., 3] = np.cos(np.radians(out[..., 3]))
     return out
 
 
 class CapField(NamedTuple):
-    """Caps of visible sky on a grid of samples, which light is seen through between them.
+    """Caps of visible sky on a grid of samples; light is interpolated between them.
 
     Attributes:
         values: (rows, cols, 4) float32: direction east, north, up, and the cosine of the radius; NaN: missing.
         linear: (2, 2) metres east and north per column and per row of the terrain.
-        scale: columns and rows of the terrain from one cap to the next; (row0, col0): the first, counted in such steps.
+        scale: columns and rows of the terrain between caps; (row0, col0): the first, counted in such steps.
     """
 
     values: Values
@@ -216,7 +217,7 @@ class CapField(NamedTuple):
 
     @classmethod
     def of(cls, caps: Values, linear: ArrayLike) -> CapField:
-        """One cap per sample: (4, rows, cols) as the product has them, radius in degrees."""
+        """One cap per sample, from (4, rows, cols) of the product, with the radius in degrees."""
         return cls(field(caps), np.asarray(linear, np.float64))
 
 

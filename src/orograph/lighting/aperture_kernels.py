@@ -1,7 +1,7 @@
-"""Compiled loops of ambient aperture lighting: caps out of horizons, light through caps.
+"""Compiled loops of ambient aperture lighting: caps from horizons, light through caps.
 
 A *field* of caps is (rows, cols, 4) float32: the direction (east, north, up) and the cosine of the radius, side by side
-in memory, since they are always wanted together. With cosines, angles are only computed where a cap's rim cuts a disc.
+in memory, because they are always used together. With cosines, angles are computed only where a cap's rim cuts a disc.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from orograph.lighting.caps import exact_overlap, smooth_overlap
 
 EAST, NORTH, UP, RADIUS, COSINE, SINE, AREA, RED, GREEN, BLUE = range(10)
 """Columns of a table of suns: direction, angular radius and its cosine and sine, solid angle, irradiance of a surface
-square to it."""
+that faces it."""
 
 X, Y, Z, LAMP_RED, LAMP_GREEN, LAMP_BLUE = range(6)
 """Columns of a table of lamps: place (metres east and north of sample (0, 0), height), irradiance at one metre."""
@@ -34,7 +34,7 @@ class LightTables(NamedTuple):
 def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
     """Add one azimuth's visible sky to ``out`` (4, rows, cols): ∫ ω dω (east, north, up) and ∫ dω.
 
-    slope, gx, gy: (r, c) of a window of ``out`` at (row0, col0). width: radians of azimuth that this one stands for.
+    slope, gx, gy: (r, c) of a window of ``out`` at (row0, col0). width: radians of azimuth that this one represents.
     """
     for i in range(slope.shape[0]):
         for j in range(slope.shape[1]):
@@ -51,8 +51,8 @@ def add_moments(slope, gx, gy, east, north, width, row0, col0, out):
 def illuminate(cap, rim, normal, place, lights, exact, out, k):
     """Set ``out[k]`` (3,) to the light on ground at a place through one cap; ``rim``: the cosine of its radius.
 
-    Each sun gives what its disc shares with the cap, from the middle of what they share, times the cosine there. Lamps
-    are seen inside the cap and not outside. The sky gives the cap's own irradiance, less where suns cover it.
+    Each sun gives the overlap of its disc and the cap, times the cosine at the middle of the overlap. Lamps are visible
+    only inside the cap. The sky gives the cap's own irradiance, minus the part that suns cover.
     """
     (ce, cn, cu), (nx, ny, nz), (px, py, pz) = cap, normal, place
     suns, lamps, ambient = lights
@@ -67,7 +67,7 @@ def illuminate(cap, rim, normal, place, lights, exact, out, k):
         bend = sine * suns[s, SINE]
         facing = nx * le + ny * ln + nz * lu
         part = 1.0
-        # Radii are at most 90° and 45°: cosines order what angles do, but for a disc wider than the cap.
+        # Radii are at most 90° and 45°: cosines can be compared like angles, except for a disc wider than the cap.
         if cosine < rim * suns[s, COSINE] + bend or rim > suns[s, COSINE]:
             if cosine <= rim * suns[s, COSINE] - bend:
                 continue
@@ -109,7 +109,7 @@ def light_hits(points, gradient, caps, lights, exact, first, last, out):
     """Light on hits [first, last) of a picture, or on any points of the ground.
 
     Args:
-        points: (n, 3) sample coordinates (column, row, metres); NaN rows are passed over.
+        points: (n, 3) sample coordinates (column, row, metres); NaN rows are skipped.
         gradient: (n, 2) rise per metre east and north.
         caps: ``aperture.CapField``; NaN: open sky. lights: ``LightTables``.
         exact: the closed form of the overlap, else the smoothstep.

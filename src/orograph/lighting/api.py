@@ -7,7 +7,7 @@
 The result has the type of the input: an array for an array, a DataArray for a DataArray; for a Dem, a Terrain or files
 a ``Map`` on the terrain's grid. Heights in degrees or feet are first converted to a metric CRS, as everywhere.
 
-A DataArray keeps its dimensions, in their order, and its scalar coordinates; where its coordinates were degrees the
+A DataArray keeps its dimensions, in their order, and its scalar coordinates; if its coordinates were degrees, the
 map's are metres, along ``y`` and ``x``. Its attributes are the map's own (units, long_name). Lazy arrays (Dask) are
 computed: horizons need the whole terrain.
 """

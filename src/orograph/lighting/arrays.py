@@ -14,7 +14,7 @@ from orograph.store.memory import MemoryTerrain
 
 
 def terrain_of(heights: ArrayLike, linear: ArrayLike) -> MemoryTerrain:
-    """A terrain in memory of an array, sharing it if it is float32 already.
+    """A terrain in memory from an array, which is shared if it is float32.
 
     Args:
         heights: (rows, cols), metres; missing where masked or not finite.

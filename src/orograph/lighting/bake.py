@@ -1,21 +1,21 @@
-"""Baked light: products put into a store as layers, at all its levels, so that renderers find them tile by tile.
+"""Baked light: products stored as layers of a store, at all its levels, so that renderers read them tile by tile.
 
-What depends on the ground alone and takes long is worth keeping: skies, occlusion, apertures, horizons. Products are
-made as for a map (``products``), several of the same horizons in one sweep, then cut into the store's shards and
-averaged over blocks of 2 × 2, 4 × 4… samples, always out of the exact values of the full resolution, and quantised
-last, each level by itself. How a product is averaged:
+Products worth baking depend only on the ground and take long: skies, occlusion, apertures, horizons. They are made as
+for a map (``products``), those with the same horizons in one sweep. Then they are cut into the store's shards and
+averaged over blocks of 2 × 2, 4 × 4… samples, always from the exact values of the full resolution; each level is
+quantised last, by itself. There are two ways to average:
 
-- *mean*: of the valid samples, for what adds up as light does (sky-view factors, occlusion, insolation, sunshine) and
-  for angles that are near one another (horizons, openness);
+- *mean*: of the valid samples, for additive quantities (sky-view factors, occlusion, insolation, sunshine) and for
+  angles that are close to each other (horizons, openness);
 - *cap*, for apertures: the area of a block's cap is the mean of its samples' areas, 1 − cos r = mean(1 − cos rᵢ), and
-  its direction that of the mean of what the caps would give of a uniform sky, ∑ sin² rᵢ cᵢ (the first moment of a cap
-  of direction c and radius r is π sin² r c): a light seen by half of the samples is seen by half of the cap.
+  its direction is that of the mean light that the caps would receive from a uniform sky, ∑ sin² rᵢ cᵢ (the first moment
+  of a cap of direction c and radius r is π sin² r c): a light that half of the samples see is seen by half of the cap.
 
-A bake into a folder is made in ``layers/.partial``, keeps what has been swept there, and takes its place when all of it
-is complete (``bake_folder``); the store stays readable, with the layers it had, until then. Parts make it there
-together (``bake_parts``). At a URL there is no renaming: layers are taken out of the store's record first, and are in
-it again when they are complete. Workers of this machine make them in a folder and send them then; those of a cluster
-exchange what they make in the bucket.
+A bake into a folder is made in ``layers/.partial``, which also keeps what has been swept, and is moved into place when
+it is complete (``bake_folder``); until then the store stays readable with its old layers. Parts make it there together
+(``bake_parts``). At a URL nothing can be renamed: layers are first removed from the store's record, and listed again
+when they are complete. Workers of this machine make them in a folder and then send them; workers of a cluster exchange
+data through the bucket.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ class Baked:
 
     Attributes:
         averaging: see the module.
-        bits: of a code, unless others are asked for.
-        more: which of ``Options.more`` it has, and their defaults.
+        bits: the default bits of a code.
+        more: the options of ``Options.more`` that it has, with their defaults.
     """
 
     averaging: Averaging = "mean"
@@ -94,7 +94,7 @@ BAKED: dict[str, Baked] = {
     "insolation": Baked(bits=16, more=(("date", None), ("step", 10.0), ("turbidity", 3.0))),
     "sunshine": Baked(bits=16, more=(("date", None), ("step", 10.0))),
 }
-"""Products that can be baked. The others follow from heights at once, or hold for one sun only."""
+"""Products that can be baked. The others follow quickly from heights, or hold for only one sun."""
 
 
 Store = StoredTerrain | str | Path
@@ -151,17 +151,17 @@ def bake(
     finish: bool = False,
     **more: Any,
 ) -> StoredTerrain | None:
-    """Put products of light into a store, as layers of their names, and open it again.
+    """Store products of light as layers of their names, and reopen the store.
 
-    A layer of the same name is replaced, unless it was made with the same options; then it is left as it is. An
-    interrupted bake into a folder resumes when it is repeated.
+    A layer of the same name is replaced, unless it was made with the same options; then it is kept. An interrupted bake
+    into a folder resumes when it is repeated.
 
     Args:
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
         names: of products, those in ``BAKED``: one, several, or a text ("openness,sky-view-factor").
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures, insolation and sunshine, else 8).
-        overwrite: bake also what is there already, and begin anew what was interrupted.
+        overwrite: also bake existing layers again, and restart an interrupted bake.
         max_memory: bytes the process should stay within.
         jobs: threads; None: all processors. The store's bytes do not depend on either.
         progress: gets the progress; None: bars in terminals and notebooks, and Python's warnings; False: silent.
@@ -169,7 +169,7 @@ def bake(
         workers: bake in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: bake on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
         part: bake only this part, "3/64" or (3, 64), and return nothing: for job arrays (``bake_parts``).
-        finish: make the rest of a bake whose parts are all there.
+        finish: make the rest of a bake whose parts are all complete.
         more: the products' options by name, instead of ``options``: ``radius=600``, ``rho="linear"``…
 
     Raises:
@@ -177,7 +177,7 @@ def bake(
         StoreError: there is no store, another bake is at work or was interrupted, parts are missing, or it cannot be
             written.
     """
-    # (One function, though long: two thirds of it are its options and what they mean.)
+    # (One long function: two thirds of it are its options and their descriptions.)
     from orograph.lighting import bake_parts
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
@@ -200,12 +200,12 @@ def bake(
         )
     if workers is not None and storage.url.startswith("memory:"):
         raise UsageError("Workers bake into stores in folders or buckets.", remedy="Omit `workers`.")
-    before = read_record(storage)  # a store that is not there is said before anything is written beside it
+    before = read_record(storage)  # report a missing store before anything is written beside it
     folder, shared = None, None
     if share is not None or finish:
         with open(store, storage_options=storage_options) as terrain:
             folder = bake_parts.check(storage, terrain, products, chosen)
-    if share is not None:  # those of the same layers and number may be at work together
+    if share is not None:  # parts with the same layers and number may run at once
         asked = [_record(p, chosen, bits, before).to_json() for p in products]
         shared = hashlib.blake2b(json.dumps([asked, overwrite, share[1]]).encode(), digest_size=16).hexdigest()
     cache = min(64 << 20, max_memory // 16)
@@ -226,7 +226,7 @@ def bake(
         elif made and (workers is not None or dask is not None):
             _on_cluster(storage, before, made, chosen, overwrite, (workers, dask, jobs or 1, max_memory), progress)
         elif made:
-            trim()  # what building the store has left
+            trim()  # left over from building the store
             with open(store, cache_bytes=cache, jobs=jobs, storage_options=storage_options) as terrain:
                 context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress)
                 _make(context, storage, before, made, overwrite)
@@ -237,7 +237,7 @@ def bake(
 
 
 def _make(context: Context, storage: Storage, before: Record, made: list[LayerRecord], overwrite: bool) -> None:
-    """Bake layers, and let them take their places."""
+    """Bake layers and move them into place."""
     writer = ShardWriter(storage, before.digests.keyed)
     if isinstance(storage, FolderStorage):
         context.kept = kept(storage, before, made, overwrite)
@@ -254,7 +254,7 @@ def _make(context: Context, storage: Storage, before: Record, made: list[LayerRe
 
 
 def _of_all(read: Callable[[Window], Values]) -> Callable[[Spot], Callable[[Window], Values]]:
-    """What reads the values of a shard, of what reads any window."""
+    """Turn a function from shards to values into one from shards to readers of windows."""
     return lambda spot: read
 
 
@@ -262,8 +262,10 @@ def _on_cluster(
     storage: Storage, before: Record, made: list[LayerRecord], options: Options, overwrite: bool,
     how: tuple[int | None, Any, int, int], progress: Progress,
 ) -> None:  # fmt: skip
-    """Have workers bake layers, and let these take their places. Of a store in a bucket workers of this machine make
-    them in the cache folder, and they are sent when they are complete; others make them in the bucket.
+    """Let workers bake layers, and move these into place.
+
+    For a store in a bucket, workers of this machine make them in the cache folder, and they are sent when they are
+    complete; other workers make them in the bucket.
 
     Args:
         how: workers, dask, threads of each worker, bytes.
@@ -298,7 +300,7 @@ def _on_cluster(
 
 
 def check(names: Sequence[str]) -> None:
-    """Raise UsageError unless all products can be baked, with nothing but their defaults.
+    """Raise UsageError unless all products can be baked, with all other options at their defaults.
 
     Raises:
         UsageError: there is no such product, it cannot be baked, or it needs an option.
@@ -322,7 +324,7 @@ def _bakeable(name: str) -> Product:
 
 
 def _record(of: Product, options: Options, bits: Bits | None, store: Record) -> LayerRecord:
-    """What the store will say of a layer."""
+    """The store's record of a layer."""
     how = BAKED[of.name]
     made_with: dict[str, Any] = {
         "azimuths": options.azimuths, "radius": options.radius, "curvature": options.curvature,

@@ -1,8 +1,8 @@
-"""Where a bake is made, what it is made of, and how its layers take their places in the store.
+"""Where a bake is made, its plan, and how its layers are moved into place in the store.
 
-The folder ``layers/.partial`` holds a plan (the layers, and in how many parts they are made, if in parts) and whatever
-has been done. The plan is the first thing there and the last to go, so what lies beside it belongs to it. Parts and the
-workers of a remote cluster have it in a bucket, too; what parts sweep lies on their own machines.
+The folder ``layers/.partial`` holds a plan (the layers, and the number of parts, if any) and all finished work. The
+plan is written first and removed last, so everything beside it belongs to it. Parts and the workers of a remote cluster
+have such a folder in a bucket too; what parts sweep stays on their own machines.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from orograph.store.stored import read_record
 Place = FolderStorage | BucketStorage
 
 KEY = f"{PARTIAL}/{PLAN}"
-"""Where its plan lies."""
+"""The key of its plan."""
 
 
 def plan_of(made: list[LayerRecord], count: int | None = None) -> dict[str, Any]:
@@ -42,12 +42,12 @@ def plan_of(made: list[LayerRecord], count: int | None = None) -> dict[str, Any]
 
 
 def plan_text(made: list[LayerRecord], count: int | None = None) -> bytes:
-    """The plan as it lies there."""
+    """The plan as it is stored."""
     return text_of(plan_of(made, count)).encode()
 
 
 def kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwrite: bool) -> Checkpoint:
-    """The folder of the bake under way: that of the same bake, interrupted, or a new one.
+    """The folder of the bake: one that was interrupted with the same plan, or a new one.
 
     Raises:
         StoreError: another bake was interrupted there, or it cannot be written.
@@ -65,24 +65,24 @@ def kept(storage: FolderStorage, record: Record, made: list[LayerRecord], overwr
 
 
 def another(storage: Storage, there: bytes, anew: str) -> StoreError:
-    """What says that another bake was begun.
+    """The error that another bake has begun.
 
     Args:
-        there: its plan. anew: what is done to begin anew.
+        there: its plan. anew: how to restart.
     """
     count = count_of(there)
-    said, again = "was interrupted", "Run it again with the same products and options to finish it"
+    state, again = "was interrupted", "Run it again with the same products and options to finish it"
     if count is not None:
-        said = f"was begun in {count} parts"
+        state = f"was begun in {count} parts"
         again = f"Run the parts of {count}, with the products and options of those before, and then finish"
-    elif isinstance(storage, BucketStorage):  # where nobody else leaves a plan
-        said = "by the workers of a cluster was interrupted"
+    elif isinstance(storage, BucketStorage):  # nobody else leaves a plan there
+        state = "by the workers of a cluster was interrupted"
         again = "Run it again with the same products and options, and with `dask`, to finish it"
-    return StoreError(f"Another bake into this store {said}.", path=storage.url, remedy=f"{again}, or {anew}.")
+    return StoreError(f"Another bake into this store {state}.", path=storage.url, remedy=f"{again}, or {anew}.")
 
 
 def group(storage: FolderStorage) -> None:
-    """See that there is a folder for layers."""
+    """Create the group for layers if there is none."""
     try:
         (storage.path / GROUP).mkdir(exist_ok=True)
     except OSError as error:
@@ -90,7 +90,7 @@ def group(storage: FolderStorage) -> None:
 
 
 def finished(storage: Storage, record: Record) -> bool:
-    """Whether all that was begun is in the store: a bake was cut off just before its very end."""
+    """Whether everything is already in the store: the bake was interrupted just before its end."""
     try:
         plan: dict[str, Any] = json.loads(storage.get(KEY) or b"")["layers"]
     except (ValueError, KeyError):
@@ -100,7 +100,7 @@ def finished(storage: Storage, record: Record) -> bool:
 
 
 def removed(storage: Storage, before: Record, gone: set[str]) -> Record:
-    """The record without these layers, which are removed where new ones would come into their place."""
+    """The record without these layers, which are removed where new ones would take their place."""
     there = LAYERS.of(before)
     record = LAYERS.put(before, {name: layer for name, layer in there.items() if name not in gone})
     if not gone & set(there) or before.digests.keyed:
@@ -112,7 +112,7 @@ def removed(storage: Storage, before: Record, gone: set[str]) -> Record:
 
 
 def publish(storage: Storage, before: Record, made: list[LayerRecord], gone: set[str], digests: Digests) -> None:
-    """Let layers take their place: the old ones go first, the record that names the new ones is written last."""
+    """Move layers into place: the old ones go first, and the record that names the new ones is written last."""
     record = removed(storage, before, gone)
     if isinstance(storage, FolderStorage):
         for layer in made:
@@ -130,15 +130,15 @@ def partial_of(storage: Storage) -> Place:
         return FolderStorage(storage.path / PARTIAL, many=True)
     assert isinstance(storage, BucketStorage)
     found = storage.below(f"{storage.prefix}/{PARTIAL}".strip("/"), f"{storage.url}/{PARTIAL}")
-    found.scope, found.elsewhere = "", {}  # the store's own are of its updates
+    found.scope, found.elsewhere = "", {}  # the store's own parts belong to its updates
     return found
 
 
 def begin(storage: Place, plan: bytes, anew: str) -> None:
-    """Put the plan where layers are made, or see that it is the one that is there.
+    """Write the plan where layers are made, or check that the plan there is the same.
 
     Args:
-        anew: what is done to begin anew.
+        anew: how to restart.
 
     Raises:
         StoreError: another bake was begun.
@@ -155,7 +155,7 @@ def begin(storage: Place, plan: bytes, anew: str) -> None:
 def take_place(
     storage: Place, before: Record, made: list[LayerRecord], digests: Digests, progress: Progress
 ) -> None:  # fmt: skip
-    """Let layers that were made where ``partial_of`` says take their places, and remove what else lies there."""
+    """Move layers into place that were made where ``partial_of`` says, and remove everything else there."""
     partial, names = partial_of(storage), {layer.name for layer in made}
     if isinstance(partial, FolderStorage):
         partial.sweep()
@@ -167,7 +167,7 @@ def take_place(
 
 
 def discard(storage: Place) -> None:
-    """Remove what was made of a bake, if anything was; nobody else may be at work there."""
+    """Remove what was made of a bake, if anything; nobody else may be working there."""
     if isinstance(storage, FolderStorage):
         clear(storage.path / PARTIAL)
     elif storage.exists(KEY):
@@ -178,8 +178,7 @@ def discard(storage: Place) -> None:
 
 
 def scratch(storage: Storage, *more: bytes) -> FolderStorage:
-    """Where what belongs to a bake into a bucket lies on this machine: the same for each of them, or of each of those
-    that ``more`` tells apart."""
+    """The folder on this machine for a bake into a bucket: the same for each bake, or each value of ``more``."""
     name = hashlib.blake2b(b"\0".join([storage.url.encode(), *more]), digest_size=10).hexdigest()
     folder = FolderStorage(cache_folder() / "bakes" / name)
     try:
@@ -192,8 +191,10 @@ def scratch(storage: Storage, *more: bytes) -> FolderStorage:
 def send(
     made: Place, storage: Storage, record: Record, digests: Digests, progress: Progress
 ) -> None:  # fmt: skip
-    """Put the shards of the record's layers into a bucket, whose own record does not name them yet; those that are in
-    the bucket already are copied there by the server."""
+    """Send the shards of the record's layers to a bucket, whose own record does not name them yet.
+
+    The server copies those that are already in the bucket.
+    """
     at, keyed = At(record.grid, record.shard, record.chunk), record.digests.joined(digests)
     shards = [
         (spec.key((i, j)), spec.place((i, j), keyed))

@@ -1,7 +1,7 @@
-"""A product of light in the shards of a store: coded, and averaged level by level (see ``bake``).
+"""A product of light in the shards of a store: encoded, and averaged level by level (see ``bake``).
 
-A task makes a shard of level 0 with what of the coarser levels lies in it; the levels above, and coarse shards that
-several tasks share, are put together by whoever adds up.
+A task makes a shard of level 0 with its part of the coarser levels. The combining process makes the levels above, and
+coarse shards that several tasks share.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ SAID = {
     "mean": "mean of the valid samples of each block",
     "cap": "caps of each block's mean area, towards the mean of sin^2(radius) times their directions",
 }
-"""What a layer's record says of its averaging."""
+"""The averaging in a layer's record."""
 
 
 def is_cap(layer: LayerRecord) -> bool:
@@ -46,10 +46,10 @@ def is_cap(layer: LayerRecord) -> bool:
 
 
 class Handed(NamedTuple):
-    """What a task hands on.
+    """The result of a task.
 
     Attributes:
-        digests: of the shards of its bands. coarse: codes of each level from 1 on, of each band, as far as shards make
+        digests: of the shards of its bands. coarse: codes of each level from 1 on, of each band, as far as tasks make
             them. total, number: sums of each band, from which the levels above follow.
     """
 
@@ -60,12 +60,12 @@ class Handed(NamedTuple):
 
 
 class LayerStage(Stage[Handed]):
-    """A layer's shards.
+    """Makes a layer's shards.
 
     Args:
         writer: of its shards. record: of the store. layer: what is made, averaged as "cap" or as means.
-        reader: a shard → what gives the product's values (bands, rows, cols) in any window of it.
-        keeps: whether tasks keep what they found, for other processes. number: of the layer.
+        reader: a shard → a function that returns the product's values (bands, rows, cols) in any window of it.
+        keeps: whether tasks store their results for other processes. number: of the layer.
     """
 
     name = "layer"
@@ -82,7 +82,7 @@ class LayerStage(Stage[Handed]):
             self.able = has_adapter
         self.shape, self.shard = record.grid.shape, record.shard
         levels = level_count(self.shape)
-        self.direct = min(self.shard.bit_length() - 1, levels - 1)  # the coarsest level that shards make themselves
+        self.direct = min(self.shard.bit_length() - 1, levels - 1)  # the coarsest level that tasks make themselves
         self.specs = [
             [layer_spec(self.shape, layer.name, k, b, record.shard, record.chunk) for b in layer.bands]
             for k in range(levels)
@@ -99,8 +99,8 @@ class LayerStage(Stage[Handed]):
         return self.writer.storage.url
 
     def memory(self) -> int:
-        """Bytes that a task takes besides what its values are made from."""
-        # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip and what comes up with them.
+        """Bytes that a task takes besides its input."""
+        # Codes, sums and counts of 2 × 2, means, a shard as bytes; the values of a strip with intermediate results.
         size, n = self.layer.bands[0].bits // 8, len(self.layer.bands)
         return self.shard * self.shard * (n * (size + 4) + size) + self.shard * _STRIP * 4 * n * (12 if self.cap else 6)
 
@@ -172,7 +172,7 @@ class LayerStage(Stage[Handed]):
 
 
 def layer_stages(writer: ShardWriter, record: Record, layers: list[LayerRecord]) -> list[LayerStage]:
-    """The stages of layers whose shards other processes make, for whoever adds up."""
+    """The stages of layers whose shards other processes make, for the combining process."""
     return [LayerStage(writer, record, layer, is_cap(layer), _nothing, True, k) for k, layer in enumerate(layers)]
 
 
@@ -199,9 +199,9 @@ def _unpacked(data: bytes, bands: int, levels: int) -> Handed:
 
 
 def _coded(bands: Sequence[LayerBand], shape: tuple[int, ...], strips: Iterable[Values]) -> list[Codes]:
-    """Codes (rows, cols) of each band, of values that come in strips (bands, rows, cols) from the top.
+    """Codes (rows, cols) of each band, from values that come in strips (bands, rows, cols) from the top.
 
-    The values of a whole shard, and what comes up on the way to them, are many times its codes.
+    The values of a whole shard, with intermediate results, take many times the memory of its codes.
     """
     codes: list[Codes] = [np.empty(shape, band.dtype) for band in bands]
     row = 0
@@ -213,7 +213,7 @@ def _coded(bands: Sequence[LayerBand], shape: tuple[int, ...], strips: Iterable[
 
 
 class _Rest:
-    """Sums of the coarsest level that shards make, from which the levels above it follow."""
+    """Sums of the coarsest level that tasks make, from which the levels above follow."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.total = np.zeros(shape)
@@ -233,7 +233,7 @@ class _Rest:
 
 
 def _linear(caps: Values) -> NDArray[np.float32]:
-    """Caps (4, rows, cols) (direction, radius in degrees) → what of them adds up: sin² r · direction, 1 − cos r."""
+    """Caps (4, rows, cols) (direction, radius in degrees) → their additive form: sin² r · direction, 1 − cos r."""
     radius = np.radians(caps[3])
     square = np.sin(radius) ** 2
     # 1 − cos r = 2 sin² (r / 2), without cancellation.
@@ -241,7 +241,7 @@ def _linear(caps: Values) -> NDArray[np.float32]:
 
 
 def _caps(means: Values) -> Values:
-    """The inverse of ``_linear``, of means; where nothing is seen the radius is 0 and the direction up."""
+    """The inverse of ``_linear`` for means; if nothing is visible, the radius is 0 and the direction up."""
     length = np.sqrt((means[:3].astype(np.float64) ** 2).sum(0))
     seen = length > 1e-12
     with np.errstate(invalid="ignore", divide="ignore"):

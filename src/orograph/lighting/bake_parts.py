@@ -1,13 +1,13 @@
-"""Bakes in parts, for job arrays: processes that know nothing of each other, as ``store.in_parts`` builds.
+"""Bakes in parts, for job arrays: independent processes, as in ``store.in_parts``.
 
-Part I of N makes its share of the shards of level 0, of all layers, and keeps what the coarser levels need of them;
-``finish`` makes those and lets the layers take their places. That takes shards that follow from heights alone: rays,
-walks, and horizons within a radius. Those without one are swept across the whole terrain, row of shards by row, so no
-part could do its own without waiting for others.
+Part I of N makes its share of the shards of level 0 of all layers, and stores what the coarser levels need from them;
+``finish`` makes those and moves the layers into place. This works for products whose shards follow from heights alone:
+rays, walks, and horizons within a radius. Horizons without a radius are swept across the whole terrain, row of shards
+by row, so no part could do its own without waiting for others.
 
-What is swept of a shard is kept until its layers are made: a part that was killed goes on there. Of a store in a bucket
-sweeps lie in the cache folder of the machine, shards and what coarser levels need in the bucket, where ``finish`` has
-them copied to their places.
+The sweeps of a shard are kept until its layers are made; a killed part resumes there. For a store in a bucket, sweeps
+are in the cache folder of the machine, while shards and the input for coarser levels are in the bucket, where
+``finish`` has them copied to their places.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from orograph.store.writer import ShardWriter
 
 
 def check(storage: Storage, terrain: Terrain, products: Sequence[Product], options: Options) -> Place:
-    """The store, if parts can bake these products into it.
+    """The store, if these products can be baked into it in parts.
 
     Raises:
         UsageError: they cannot.
@@ -86,7 +86,7 @@ def make(
     index, count = part
     room = max_memory - BASE
     plan = plan_text(made, count)
-    # (In a folder of its own: another part on this machine may end first, and clear what it has swept.)
+    # (In its own folder: another part on this machine may end first, and remove its sweeps.)
     here = storage if isinstance(storage, FolderStorage) else scratch(storage, plan, str(index).encode())
     recipe = recipe_of(here, storage.named(), options, made, plan, shard, BASE + room // jobs)
     begin(storage, plan, _restart_remedy(storage))
@@ -117,10 +117,10 @@ def make(
 
 
 def check_none(storage: Storage, before: Record, overwrite: bool, own: bytes | None) -> None:
-    """Before a bake that is not in parts: in a bucket nothing else tells of one that was begun there (``kept``).
+    """Refuse a bake without parts if parts have begun one in a bucket (``kept`` checks folders).
 
     Args:
-        before: the store's record. overwrite: remove what was made of one. own: the plan that is gone on with, if any.
+        before: the store's record. overwrite: remove such a bake. own: the plan to resume, if any.
 
     Raises:
         StoreError: another was begun.
@@ -140,15 +140,15 @@ def _restart_remedy(storage: Place) -> str:
 
 
 def finish(storage: Place, before: Record, made: list[LayerRecord], progress: Progress) -> None:
-    """Make what is left of layers whose parts are all there, and let them take their places.
+    """Make the rest of layers whose parts are all complete, and move them into place.
 
     Args:
-        before: the store's record. made: the layers that are not there yet.
+        before: the store's record. made: the layers that do not exist yet.
 
     Raises:
         StoreError: parts are missing, none was made, or another bake was begun.
     """
-    if not made:  # all of it may be in the store, if whoever finished it before was killed at the very end
+    if not made:  # everything may already be in the store, if an earlier ``finish`` was killed at its very end
         if finished(storage, before):
             discard(storage)
         return

@@ -1,17 +1,18 @@
-"""Baked light by the workers of a cluster: what is a task, and what lies in files between tasks.
+"""Light baked by the workers of a cluster: the tasks, and the files between them.
 
-*Horizons swept without a radius.* All azimuths of one axis and sense make a way over the terrain (four at most), and
-strips of shards (``STRIPS``) of the same steps a row. A task sweeps one strip in all azimuths of a way
-(``sweep_part``): it reads the heights of the strip and of as much on either side as lines shift in it, the hulls that
-its neighbours in the row in front have left, and the strip's sums of the way before, and writes the sums and the hulls
-that leave it. Rows follow one another, and strips of a row are swept at once. Lines that cross from one strip of a row
-into the next are swept in both; the flatter strips are, the fewer these are. Sums lie in squares as long as strips are
-wide, for the next way's strips may lie across. *Within a radius* a task needs heights alone: it sweeps a shard in all
-azimuths.
-*Rays and walks* are made window by window, and so is what a GPU makes, by workers that have one. In the end a task
-codes a shard's values (``bake_layers``).
+*Horizons without a radius.* All azimuths of one axis and sense form a way over the terrain (four at most), and strips
+of shards (``STRIPS``) with the same steps form a row. A task sweeps one strip in all azimuths of a way
+(``sweep_part``). It reads the heights of the strip and as much on either side as lines shift within it, the hulls that
+its neighbours in the row in front have left, and the strip's sums from the way before; it writes the sums, and the
+hulls that leave the strip. Rows follow one another; strips of a row are swept at once. Lines that cross from one strip
+of a row into the next are swept in both; the flatter strips are, the fewer lines do so. Sums are stored in squares as
+long as strips are wide, because the strips of the next way may be perpendicular. *Within a radius* a task needs only
+heights: it sweeps a shard in all azimuths.
 
-Sums come about in the order of azimuths of one process, so the bytes are those of one process. All files lie in
+*Rays and walks* are made window by window, and so are products of a GPU, by workers that have one. In the end a task
+encodes a shard's values (``bake_layers``).
+
+Sums are added in the order of azimuths of one process, so the bytes are those of one process. All files are in
 ``layers/.partial`` until the bake is complete: in a folder, or in the store's bucket, where workers of other machines
 find them.
 """
@@ -54,20 +55,20 @@ CACHE = 64 << 20
 """Bytes of a worker's cache of heights."""
 
 STRIPS = 4
-"""Strips of a shard: of lines in all directions, an eighth is swept twice (of whole shards it was half)."""
+"""Strips of a shard: an eighth of the lines of all directions is then swept twice (half with whole shards)."""
 
 SWEEP = 192 << 20
 """Bytes for the heights, slopes and stacks of a task."""
 
 
 class BakeRecipe(NamedTuple):
-    """Everything that workers get once for a bake.
+    """What workers receive once for a bake.
 
     Attributes:
-        named: the store (``Storage.named``). folder: in which ``layers/.partial`` lies, the store's or another; "": it
-            lies in the store's bucket.
-        options: of the products. layers: what is made. plan: as it lies in the bake's folder.
-        memory, base: as of all recipes.
+        named: the store (``Storage.named``). folder: the parent of ``layers/.partial``, the store's or another; "": the
+            store's bucket.
+        options: of the products. layers: to make. plan: as stored in the bake's folder.
+        memory, base: as for all recipes.
     """
 
     named: tuple[str, dict[str, Any] | None]
@@ -89,10 +90,12 @@ def recipe_of(
     """The recipe of a bake.
 
     Args:
-        folder: None: the store's bucket. named, options, layers, plan: as of the recipe.
-        shard: samples along the sides of the store's shards. memory: bytes for each task, if that is enough.
+        folder: None: the store's bucket. named, options, layers, plan: as for the recipe.
+        shard: samples along the sides of the store's shards. memory: bytes for each task, if they suffice.
     """
-    bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)  # sums may be more than what follows from them
+    bands = sum(len(layer.bands) for layer in layers) + 2 * len(
+        layers
+    )  # sums may be larger than the values that follow from them
     needed = SWEEP + 3 * 4 * bands * shard * shard
     at = "" if folder is None else str(folder.path.absolute())
     return BakeRecipe(named, at, options, layers, plan, max(needed, memory - BASE), BASE)
@@ -102,19 +105,19 @@ class BakeState:
     """What one process needs for a bake.
 
     Attributes:
-        groups: the products (their numbers) that share sweeps, with the ways of these.
-        made: where layers are made: beside the sweeps, unless parts make them in a bucket.
+        groups: the products (their numbers) that share sweeps, with their ways.
+        made: where layers are made: with the sweeps, unless parts make them in a bucket.
     """
 
     def __init__(self, recipe: BakeRecipe) -> None:
         self.recipe = recipe
-        url, said = recipe.named
+        url, options = recipe.named
         folder = Path(recipe.folder) / PARTIAL if recipe.folder else None
         self.storage = guarded(
-            FolderStorage(folder) if folder is not None else partial_of(storage_at(url, said)), PLAN, recipe.plan
+            FolderStorage(folder) if folder is not None else partial_of(storage_at(url, options)), PLAN, recipe.plan
         )
         self.made = self.storage
-        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=said)
+        self.terrain = open_store(url, cache_bytes=CACHE, storage_options=options)
         self.record = self.terrain.record
         self.strip = max(1, self.record.shard // STRIPS)
         kept = None if folder is None else Checkpoint(folder, json.loads(recipe.plan or b"{}"))
@@ -136,12 +139,12 @@ class BakeState:
         ]  # fmt: skip
 
     def _ways(self, group: list[int]) -> list[list[list[Lines]]]:
-        """The ways of a group: each of one axis and sense, to be done one after the other; or all as one."""
+        """The ways of a group: one for each axis and sense, one after the other; or a single one for all."""
         found = ways(self.sweeps[group[0]].azimuths, self.context.linear, self.context.shape)
         return [found] if self.recipe.options.radius is not None else [[way] for way in found]
 
     def rows(self, together: list[list[Lines]]) -> list[int]:
-        """The rows of strips along the steps of a way, in their order; [-1]: all shards are done at once."""
+        """The rows of strips along the steps of a way, in order; [-1]: all shards at once."""
         if self.recipe.options.radius is not None:
             return [-1]
         (way,) = together
@@ -166,7 +169,7 @@ class BakeState:
         return stage
 
     def own(self, window: Window) -> dict[int, Sweep]:
-        """The sweeps, with windows counted from a shard's first row and column; of this thread, until its next call."""
+        """The sweeps, with windows counted from a shard's first row and column; valid until this thread's next call."""
         own = self._own
         if not hasattr(own, "context"):
             own.context = _Shifted(self.context)
@@ -176,7 +179,7 @@ class BakeState:
         return found
 
     def _summed(self, number: int, spot: Spot, window: Window) -> Callable[[Window], Values]:
-        """What gives a product's values out of a shard's sums."""
+        """A function that returns a product's values from a shard's sums."""
         g, (_, of) = next((g, each) for g, each in enumerate(self.groups) if number in each[0])
         sweep = self.own(window)[number]
         canvas = self.sums(folder_of(g, len(of) - 1), window, {number: sweep})[number]
@@ -196,7 +199,7 @@ class BakeState:
         ]  # fmt: skip
 
     def sums(self, folder: str, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
-        """The sums of a window, as a way has left them.
+        """The sums of a window after a way.
 
         Raises:
             ValueError: they are damaged, or not there.
@@ -211,11 +214,11 @@ class BakeState:
         return found
 
     def square(self, folder: str, square: Window) -> str:
-        """Where the sums of a square lie."""
+        """Where the sums of a square are stored."""
         return f"{folder}/{square[0] // self.strip}.{square[2] // self.strip}.sums"
 
     def _windows(self, number: int, window: Window) -> Callable[[Window], Values]:
-        """What gives the values of a product that is made window by window."""
+        """A function that returns the values of a product made window by window."""
         context = Context(
             self.terrain, self.recipe.options, jobs=1, max_memory=self.context.max_memory, kept=self.context.kept,
             only=window,
@@ -251,7 +254,7 @@ class _Shifted(Context):
 
 
 def folder_of(group: int, way: int) -> str:
-    """Where the sums and hulls of a way lie."""
+    """Where the sums and hulls of a way are stored."""
     return f"sweeps/{group}.{way}"
 
 
@@ -307,13 +310,13 @@ class SweepStage(Stage[bool]):
         return True
 
     def forget(self, spot: Spot) -> None:
-        """Let go of the sums of a task that nothing follows from any more."""
+        """Remove the sums that a task has used up."""
         self.state.storage.remove(self.key(spot))
         for square in self.state.squares(self.window(spot)):
             self.state.storage.remove(self.state.square(folder_of(self.group, self.way), square))
 
     def add(self, spot: Spot, found: bool) -> None:
-        """Nothing is to be added up: sums lie in files."""
+        """Nothing to add: sums are in files."""
 
     def make(self, spot: Spot) -> bool:
         state, storage = self.state, self.state.storage
@@ -343,7 +346,7 @@ class SweepStage(Stage[bool]):
         return True
 
     def _before(self, window: Window, sweeps: dict[int, Sweep]) -> dict[int, Values]:
-        """The sums of a task's samples, as the way before has left them."""
+        """The sums of a task's samples after the way before."""
         if self.way == 0:
             shape = window[1] - window[0], window[3] - window[2]
             return {k: np.zeros((sweep.bands, *shape), np.float32) for k, sweep in sweeps.items()}
@@ -353,7 +356,7 @@ class SweepStage(Stage[bool]):
         return f"{folder_of(self.group, self.way)}/{spot[0]}.{spot[1]}.hulls"
 
     def _handed(self, part: Part, spot: Spot) -> Callable[[int], list[Hulls]]:
-        """Azimuth → the hulls that parts in front of one have left; none before the first row."""
+        """Azimuth → the hulls left by the parts in front; none before the first row."""
         if part.terms.radius is not None or self.number == 0 or self.state.numbers[self.number - 1][:2] != (
             self.group, self.way,
         ):  # fmt: skip
@@ -365,7 +368,7 @@ class SweepStage(Stage[bool]):
 
 
 def on_cluster(cluster: Cluster, state: BakeState, writer: ShardWriter, progress: Progress) -> None:
-    """Have all shards of a bake's layers made.
+    """Make all shards of a bake's layers.
 
     Args:
         state: of this process. writer: of the coarse shards.
@@ -389,7 +392,7 @@ def on_cluster(cluster: Cluster, state: BakeState, writer: ShardWriter, progress
                     cluster.run(stage, Within(progress, task))
                 state.storage.put(done, [b"all of this way is swept"])
                 if way:
-                    with contextlib.suppress(StoreError):  # a worker that was given up may still write there
+                    with contextlib.suppress(StoreError):  # a worker that was written off may still write there
                         state.storage.remove(folder_of(g, way - 1))
     for layer in layers:
         cluster.run(layer, progress)

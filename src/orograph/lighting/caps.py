@@ -1,14 +1,14 @@
-"""Spherical caps: how much of the sphere two of them share.
+"""Spherical caps: the area that two of them share.
 
 A cap is a direction and an angular radius. Two caps of radii a and b, d apart,
 
-- share the smaller one where d ≤ |a − b|;
-- share a lens where |a − b| < d < a + b, whose area has a closed form (Tovchigrechko & Vakser 2001);
-- share nothing beyond.
+- share the smaller one if d ≤ |a − b|;
+- share a lens if |a − b| < d < a + b, whose area has a closed form (Tovchigrechko & Vakser 2001);
+- share nothing otherwise.
 
 ``smooth_overlap`` replaces the lens by a smoothstep between the two ends, as Oat & Sander 2007 (sec. 4.1) do for speed:
-off by up to 0.04 of the sun's disc on an aperture's rim, 0.12 for discs as wide as apertures. Radians and steradians,
-scalars; kernels and Python alike may call these.
+the error is up to 0.04 of the sun's disc on an aperture's rim, and 0.12 for discs as wide as apertures. Radians and
+steradians, scalars; for kernels and for Python.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import math
 from orograph._numba import shared
 
 POINT = 1e-5
-"""Radians below which a cap is seen whole or not at all: the closed form would be lost in rounding."""
+"""Radians below which a cap is visible fully or not at all, because the closed form would suffer from rounding."""
 
 
 @shared

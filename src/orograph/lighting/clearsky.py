@@ -26,7 +26,7 @@ SCALE_HEIGHT = 8434.5
 
 
 def extraterrestrial(when: datetime.datetime) -> float:
-    """Irradiance square to the beam outside the atmosphere (Hofierka & Šúri 2002, eqs. 1–2)."""
+    """Irradiance of a surface facing the sun outside the atmosphere (Hofierka & Šúri 2002, eqs. 1–2)."""
     day = 2 * math.pi * when.timetuple().tm_yday / 365.25
     return SOLAR_CONSTANT * (1 + 0.03344 * math.cos(day - 0.048869))
 
@@ -47,7 +47,7 @@ def rayleigh(mass: ArrayLike) -> Array:
 
 
 def beam(normal: ArrayLike, altitude: ArrayLike, height: ArrayLike, turbidity: float) -> Array:
-    """Irradiance square to the sun's beam at the ground (eq. 3).
+    """Irradiance by the sun's beam of a surface that faces it at the ground (eq. 3).
 
     Args:
         normal: outside the atmosphere. altitude: of the sun, apparent. height: of the ground. turbidity: Linke's T.

@@ -49,7 +49,7 @@ _PIECE = 1024
 
 
 def _number(value: Any, above: float = -math.inf) -> bool:
-    """Whether it is a finite number greater than ``above``."""
+    """Whether something is a finite number greater than ``above``."""
     return isinstance(value, Real) and math.isfinite(value) and float(value) > above
 
 
@@ -62,9 +62,9 @@ class Options:
         sun: (azimuth, altitude) of the light, degrees.
         lights: several of them as (azimuth, altitude, weight), for hillshade; () for ``sun`` alone.
         radius: metres beyond which nothing occludes; None: unlimited.
-        curvature: whether the Earth (or the CRS's body) is round, and the air refracts, for horizons.
+        curvature: whether horizons take the curvature of the Earth (or the CRS's body) and refraction into account.
         refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature. None: 0.13 on
-            the Earth, 0 on bodies whose air is thin or none.
+            the Earth, 0 on bodies with little or no air.
         exaggeration: heights are multiplied by this for hillshade only.
         rays: per sample, for Monte Carlo products.
         more: options of single products, by name (``MORE``): ``rho``, ``method``, ``seed``, ``cones`` (ambient
@@ -84,7 +84,7 @@ class Options:
 
     @classmethod
     def of(cls, **given: Any) -> Self:
-        """Options by their names, those of ``more`` among them.
+        """Options by name, including those of ``more``.
 
         Raises:
             UsageError: there is no such option; names like it are suggested.
@@ -166,12 +166,12 @@ class Context:
         self.jobs, self.max_memory, self.progress = threads_for(jobs), max_memory, progress
         self.shape = terrain.grid.shape
         self.linear = terrain.grid.linear
-        # A terrain in memory is there already; a store takes its cache only (part of BASE).
+        # A terrain in memory is already counted; a store takes only its cache (part of BASE).
         self._held = 4 * self.shape[0] * self.shape[1] if isinstance(terrain, MemoryTerrain) else 0
 
     @property
     def budget(self) -> int:
-        """Bytes available for blocks: the limit less the process itself, its terrain and canvases in memory."""
+        """Bytes available for blocks: the limit minus the process itself, its terrain and canvases in memory."""
         return max(self.max_memory - BASE - self._held, 32 << 20)
 
     def heights(self, row0: int, row1: int, col0: int, col1: int) -> Heights:
@@ -195,7 +195,7 @@ class Context:
         return east[inner], north[inner]
 
     def canvas(self, bands: int) -> Canvas:
-        """A canvas of ``bands`` bands; in memory if it takes at most half of what is left."""
+        """A canvas of ``bands`` bands; in memory if it takes at most half of the remaining budget."""
         from orograph.lighting.raster import Canvas
 
         size = 4 * bands * self.shape[0] * self.shape[1]
@@ -217,13 +217,13 @@ class Context:
 
         Args:
             azimuths: degrees; None: those of the options.
-            lowest: slopes are at least this (0: a level horizon; -inf: what looks down stays so).
-            below: of the terrain turned upside down (for negative openness).
+            lowest: the smallest slope (0: a level horizon; -inf: slopes may be negative).
+            below: use the terrain turned upside down (for negative openness).
             skip: indices of azimuths to leave out.
 
         Yields:
             blocks; each sample comes once with each azimuth, its azimuths always in the same order. A block's
-            ``slopes`` are used again for the next block. The radius, curvature and refraction are those of the options.
+            ``slopes`` are reused for the next block. The radius, curvature and refraction are those of the options.
         """
         from orograph.lighting.sweep import horizons
 

@@ -110,7 +110,7 @@ class Suns:
 
     Attributes:
         azimuth: (n,) degrees from grid north. altitude: (n,) apparent. normal: (n,) W/m² outside the atmosphere.
-        hours: that each stands for.
+        hours: that each represents.
         sky: Wh/m² of diffuse light on level, open ground, over the whole period.
         turbidity: Linke's T.
     """
@@ -194,12 +194,12 @@ class Suns:
 
 
 def _above(mass: Array) -> Array:
-    """What stands above each altitude, of masses that are discs: (…, altitudes, 3), float64."""
+    """The part above each altitude of discs with masses: (…, altitudes, 3), float64."""
     from orograph.lighting.shade import disc_fraction
 
     reach = math.ceil(DIAMETER / 2 / FINE)
     count = mass.shape[-2]
-    # Beyond the disc's reach a mass counts whole; within it by the part of the disc that stands above.
+    # Beyond the disc's reach a mass counts fully; within it, by the part of the disc that is above.
     whole = np.cumsum(mass[..., ::-1, :], axis=-2)[..., ::-1, :]
     out = np.zeros_like(mass)
     out[..., : count - reach - 1, :] = whole[..., reach + 1 :, :]
@@ -232,7 +232,7 @@ def _add(
     for i in range(slope.shape[0]):
         for j in range(slope.shape[1]):
             g, h = np.float64(gx[i, j]), np.float64(gy[i, j])
-            t = max(np.float64(slope[i, j]), g * east + h * north)  # a slope hides the sky behind itself
+            t = max(np.float64(slope[i, j]), g * east + h * north)  # a slope hides the sky behind it
             if t != t:
                 out[0, i + row0, j + col0] = out[1, i + row0, j + col0] = np.nan
                 continue
@@ -319,8 +319,11 @@ def _check(options: Options) -> None:
 
 
 def _range(band: str, options: Options) -> dict[str, Any]:
-    """8-bit files and stores: up to what no ground on Earth exceeds, even without air: 13.5 kWh in a day (level ground
-    at the South Pole in December), 10 kWh a day on average over a year (a plane square to the equator)."""
+    """The range of 8-bit files and stores: up to more than any ground on Earth receives, even without air.
+
+    That is 13.5 kWh in a day (level ground at the South Pole in December), and 10 kWh a day on average over a year (a
+    plane facing the equator).
+    """
     begin, end = period(str(options.more.get("date", "2026-06-21")))
     days = (end - begin).days
     return {"byte": (0.0, (14_000.0 if days < 365 else 10_500.0) * days)}

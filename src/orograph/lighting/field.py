@@ -1,9 +1,10 @@
-"""Fields of light under a picture: baked layers in nested windows, each about as fine as the pixels that look at it.
+"""Fields of light under a picture: baked layers in nested windows, each about as fine as the pixels that see it.
 
 A field has one or four values per sample: a share of the sky, or a cap (direction east, north, up, and the cosine of
-its radius, side by side in memory, since they are always wanted together). At a hit the window whose samples are
-nearest in size to the pixel's footprint is looked up, bilinearly. Samples stand for blocks of 2^k × 2^k samples of the
-terrain, k the window's level, and lie in their middles; coordinates are (column, row) of the terrain's samples.
+its radius, side by side in memory, because they are always used together). A hit is looked up bilinearly in the window
+whose samples are closest in size to the pixel's footprint. Samples represent blocks of 2^k × 2^k samples of the
+terrain, where k is the window's level, and lie in their middles; coordinates are (column, row) of the terrain's
+samples.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 Values = NDArray[np.float32]
 
 PIXELS = math.sqrt(2.0)
-"""Samples are at most so many pixels apart, and at least half as many, where windows are as fine as the pixels."""
+"""Spacing of samples in windows as fine as the pixels: between half this number of pixels and this number."""
 SQRT_HALF = math.sqrt(0.5)
 _STRIP = 256
 """Rows that a thread decodes at a time."""
@@ -111,7 +112,7 @@ class LightField:
 
 @inlined
 def _place(windows, x, y, footprint):
-    """Where in the pool a point lies: the four samples around it, and how far between them."""
+    """The position of a point in the pool: the four samples around it, and the fractions between them."""
     w = finest(windows, x, y, SQRT_HALF * footprint)
     blocks = 1.0 / windows.size[w]
     rows, cols = windows.rows[w], windows.cols[w]
@@ -126,8 +127,10 @@ def _place(windows, x, y, footprint):
 
 @inlined
 def _window(windows, x, y, least):
-    """``finest``'s window at a point, and the box of points (west, east, north, south) for which it stays the same
-    while ``least`` does; an empty box where a finer window would do but ends elsewhere."""
+    """``finest``'s window at a point, and the box of points (west, east, north, south) for which it stays the same.
+
+    It does so while ``least`` is the same. The box is empty if a finer window would qualify but ends elsewhere.
+    """
     w = finest(windows, x, y, least)
     finer = False
     for other in range(w + 1, len(windows.size)):
@@ -141,15 +144,17 @@ def _window(windows, x, y, least):
 
 @inlined
 def _axes(windows, w):
-    """Of a window: blocks per sample, where its first lies, and its base and columns as indices without a sign, which
-    need no care for those below 0."""
+    """For a window: blocks per sample, the position of its first sample, and its base and columns as unsigned indices.
+
+    Compilers do not need to handle negative unsigned indices.
+    """
     per, u0, v0 = 1.0 / windows.size[w], 0.5 + windows.col0[w], 0.5 + windows.row0[w]
     return per, u0, v0, np.uint64(windows.base[w]), np.uint64(windows.cols[w])
 
 
 @inlined
 def _slope(windows, w, x, y, inside):
-    """``relief.slope_at``; ``inside``: what ``_axes`` says of the window, and its last column and row but two."""
+    """``relief.slope_at``; ``inside``: the window's ``_axes``, and its last column and row minus two."""
     per, u0, v0, base, cols, end_u, end_v = inside
     u, v = (x + 0.5) * per - u0, (y + 0.5) * per - v0
     across = down = np.nan
@@ -179,22 +184,23 @@ def _look_up(windows, points, footprint, out):
 def light_caps(field, means, points, width, to_world, stretch, height, lights, bounce, linear, out):
     """Light through the caps of a field on hits (n,) of a picture.
 
-    The slope is that over the pixel's footprint, between two levels: the nearer of them alone would show where it
-    changes. Caps are those of the level nearest to the footprint, for they differ less from one to the next.
+    The slope is that over the pixel's footprint, interpolated between two levels, because a switch from one level to
+    the next would be visible. Caps come from the level nearest to the footprint, because they differ less between
+    levels.
 
     Args:
         field, means: windows of caps, and of mean heights.
         points: (n, 3) sample coordinates, true heights; NaN rows are passed over. width: (n,) footprint in samples.
         to_world: (2, 2) turns metres per sample into metres per metre; ``stretch`` multiplies slopes.
-        height: what true heights are stretched by, for lamps.
+        height: the factor by which true heights are stretched, for lamps.
         lights: ``LightTables``. linear: (2, 2) metres east and north per column and row.
-        bounce: (3,) what ground gives in place of hidden sky.
+        bounce: (3,) light from ground in place of hidden sky.
         out: (n, 3) float32, irradiance.
     """
     pool = field.pool
-    # Neighbours mostly look at the same windows: to find them for each hit would take longer than to interpolate.
+    # Neighbours mostly use the same windows; finding them for each hit would take longer than interpolating.
     least, most = np.inf, -np.inf  # footprints
-    west, east, north, south = np.inf, -np.inf, np.inf, -np.inf  # and places that those found are for
+    west, east, north, south = np.inf, -np.inf, np.inf, -np.inf  # and the places for which those were found
     fine, coarse, size = 0, 0, 1.0
     per, u0, v0, last_u, last_v = 1.0, 0.0, 0.0, 0.0, 0.0  # caps
     base, cols, right, below = np.uint64(0), np.uint64(0), np.uint64(0), np.uint64(0)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from orograph.lighting.products import Product
 
 _AROUND = 1 << 16
-"""Bytes that the system maps around a touched place of a file."""
+"""Bytes that the system maps around an accessed place of a file."""
 _TOUCHED = 16 << 20
 """Bytes of a canvas on disk that a thread may have in memory before releasing them."""
 _WINDOW = 1 << 20
@@ -65,7 +65,7 @@ class Sweep:
 
 
 def by_azimuth(context: Context, add: AddOne) -> Add:
-    """An ``Add`` out of a function that takes one azimuth at a time, with the ground's gradient (NaN where missing)."""
+    """Make an ``Add`` from a function of one azimuth, with the ground's gradient (NaN where missing)."""
 
     def strip(canvas: Values, block: Block, first: int, last: int) -> None:
         row, end = block.row0 + first, block.row0 + last
@@ -77,7 +77,7 @@ def by_azimuth(context: Context, add: AddOne) -> Add:
 
 
 def produce(context: Context, products: Sequence[Product]) -> Iterator[tuple[int, int, int, Values]]:
-    """Make products: (which of them, row0, col0, values (bands, rows, cols)), one after the other.
+    """Make products one after the other: (the product's number, row0, col0, values (bands, rows, cols)).
 
     Raises:
         UsageError: an option of a product makes no sense (raised before any is made).
@@ -125,7 +125,7 @@ def _finisher(sweep: Sweep | None, canvas: Canvas) -> Callable[[Window], Values]
 
 
 def _begun(context: Context, products: Sequence[Product]) -> tuple[list[Blocks | Sweep], dict[int, Canvas]]:
-    """The prepared products, and the canvases of those that are swept, by their place."""
+    """The prepared products, and the canvases of those that are swept, by their number."""
     made = [p.make(context) for p in products]
     canvases: dict[int, Canvas] = {}
     for k, each in enumerate(made):
@@ -148,7 +148,7 @@ def _swept(context: Context, sweeps: dict[int, Sweep], names: Sequence[str]) -> 
             if not canvas.on_disk:
                 sweep.add(canvas.values, block, first, last)
                 continue
-            # Each row of a band of columns that is touched brings the pages around it into memory.
+            # Each accessed row of a band of columns brings the pages around it into memory.
             rows = max(8, _TOUCHED // (_AROUND * sweep.bands))
             for row in range(first, last, rows):
                 sweep.add(canvas.values, block, row, min(row + rows, last))

@@ -1,10 +1,10 @@
-"""Light on hits of a picture by rays: how much of a disc and of the sky each of them sees, and which lamps.
+"""Light on hits of a picture by rays: how much of a disc and of the sky each hit sees, and which lamps.
 
-From a hit, ``rays`` directions spread over the disc (a Fibonacci lattice, turned and shifted at random by a hash of the
-hit's pixel, as in ``occlusion_kernels``) are traced to the surface, and as many with density ⟨ω, n⟩/π over the
-hemisphere around its normal. Small discs are first asked in their middle and at four places on the rim: only hits whose
-five answers differ, in the penumbra, are traced further. Rays begin ``skip`` metres away: nearer than that is the hit's
-own facet, where the normal decides. Directions are metres (east, north, up) on the stretched ground.
+From a hit, ``rays`` directions spread over the disc (a Fibonacci lattice, rotated and shifted at random by a hash of
+the hit's pixel, as in ``occlusion_kernels``) are traced to the surface, and the same number with density ⟨ω, n⟩/π over
+the hemisphere around its normal. Small discs are first tested at their middle and at four places on the rim: only hits
+whose five answers differ, in the penumbra, need more rays. Rays begin ``skip`` metres away: the hit's own facet is
+nearer than that, and for it the normal decides. Directions are metres (east, north, up) on the stretched ground.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from orograph.lighting.occlusion_kernels import GOLDEN, LEVEL, _frame, _shift
 from orograph.raycast.kernels import ray
 
 SMALL = 0.9990
-"""Cosine of a disc's radius from which on five rays tell whether it is seen whole, or not at all (2.5°)."""
+"""Cosine of the radius (2.5°) of discs for which five rays decide whether all or nothing is visible."""
 
 
 @inlined
 def _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip, far, spans):
-    """Whether nothing stands in a direction between ``skip`` and ``far`` metres."""
+    """Whether a direction is free of ground between ``skip`` and ``far`` metres."""
     dx, dy = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n
     t, _ = ray(scene, (x, y, z), (dx, dy, up / exaggeration), skip, far, 0, LEVEL, spans)
     return t == np.inf
@@ -29,12 +29,12 @@ def _free(scene, x, y, z, e, n, up, inverse, exaggeration, skip, far, spans):
 
 @kernel
 def disc_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, axis, cosine, rays, out):
-    """What a disc of light sends to hits: the mean over it of its cosine to the normal where it is seen.
+    """The light of a disc on hits: the mean over it of its cosine to the normal where it is visible.
 
     Args:
         scene: the caster's.
-        points: (n, 3) sample coordinates, true heights; NaN rows are passed over. normals: (n, 3) unit.
-        skip: (n,) metres. pixels: (n, 2) int64, what the lattice is shifted by.
+        points: (n, 3) sample coordinates, true heights; NaN rows are skipped. normals: (n, 3) unit.
+        skip: (n,) metres. pixels: (n, 2) int64, from which the lattice's shift is derived.
         inverse: (2, 2) samples per metre. axis: (3,) to the disc's middle. cosine: of its radius.
         out: (n,) float64.
     """
@@ -84,7 +84,7 @@ def disc_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, ax
 
 @kernel
 def sky_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, rays, out):
-    """Ambient occlusion of hits without limit of distance, by cosine-weighted rays; arguments as ``disc_on_hits``."""
+    """Ambient occlusion of hits without limit of distance, by cosine-weighted rays; arguments: ``disc_on_hits``."""
     spans = np.empty((scene.ints.shape[0], 2))
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]
@@ -107,7 +107,7 @@ def sky_on_hits(scene, points, normals, skip, pixels, inverse, exaggeration, ray
 
 @kernel
 def lamp_on_hits(scene, points, normals, skip, inverse, exaggeration, linear, lamp, out):
-    """Add to ``out`` (n, 3) what a lamp sends to hits; ``lamp`` as a row of ``aperture_kernels``' table, stretched."""
+    """Add the light of a lamp on hits to ``out`` (n, 3); ``lamp``: a row of ``aperture_kernels``' table, stretched."""
     spans = np.empty((scene.ints.shape[0], 2))
     for k in range(len(points)):
         x, y, z = points[k, 0], points[k, 1], points[k, 2]

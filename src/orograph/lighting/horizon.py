@@ -1,7 +1,7 @@
-"""How high the horizon stands around every sample of a raster in memory: ``sweep`` on arrays.
+"""The height of the horizon around every sample of a raster in memory: ``sweep`` on arrays.
 
-Slopes are tangents of elevation angles above the plane the raster lies in. Azimuths are degrees clockwise from (grid)
-north towards the light. Lines, interpolation, missing samples and borders: see ``sweep``.
+Slopes are tangents of elevation angles above the raster's plane. Azimuths are degrees clockwise from (grid) north
+towards the light. Lines, interpolation, missing samples and borders: see ``sweep``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def horizon(
         heights: (rows, cols), metres, NaN where missing.
         linear: (2, 2) linear part of the geotransform [[a, b], [d, e]]: metres east and north per column and per row.
         azimuth: degrees clockwise from north.
-        lowest: slopes are at least this: 0 is a level horizon, -inf keeps what looks down (-inf at the border).
+        lowest: the smallest slope: 0 is a level horizon, -inf allows negative slopes (-inf at the border).
         radius: metres beyond which nothing occludes; None: unlimited.
         curvature: of the body, per metre (``sweep.curvature_of``); 0: flat.
         jobs: threads; None: all processors.

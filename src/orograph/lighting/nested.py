@@ -1,13 +1,12 @@
-"""The horizon towards one azimuth on nested windows: fine near by, coarse far away, in one sweep a window.
+"""The horizon towards one azimuth on nested windows, fine nearby and coarse far away, in one sweep per window.
 
-Every sample of a window sees the terrain towards the light at the window's own resolution as far as the window reaches,
-and beyond that at the resolution of the windows around it, out to the border of the outermost. A line of samples is
-walked from its far end towards the light's lee; the upper convex hull of what was passed holds every possible horizon
-(Timonen & Westerholm 2010, §4), so a sample costs amortised constant time. Lines run one sample apart; a sample's value
-is interpolated between the two lines that pass it, its profile between the two samples beside the line. What stands in
-its own cell is taken from the surface, and so is what lines along diagonals meet between samples (``own_cell``).
-
-Heights are metres, NaN where missing (nothing stands there); slopes are tangents of elevation angles.
+Every sample of a window sees the terrain towards the light at the window's own resolution within the window, and beyond
+it at the resolution of the windows around, out to the border of the outermost. A line of samples is walked from its far
+end away from the light; the upper convex hull of the passed points holds every possible horizon (Timonen & Westerholm
+2010, §4), so a sample costs amortised constant time. Lines are one sample apart; a sample's value is interpolated
+between the two lines beside it, and a line's profile between the two samples beside it. The ground in a sample's own
+cell comes from the surface, and so do the points that diagonal lines cross between samples (``own_cell``). Heights are
+metres, NaN where missing (no ground); slopes are tangents of elevation angles.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class Turned(NamedTuple):
 
     Attributes:
         major_is_col: whether steps are columns, or rows. forward: whether the light lies towards larger major indices.
-        slant: minor steps per major step towards larger indices. metres: of a step along a line.
+        slant: minor steps per major step towards larger indices. metres: length of a step along a line.
     """
 
     major_is_col: bool
@@ -59,7 +58,7 @@ class Outer(NamedTuple):
 
 @kernel
 def _profile(heights, major_is_col, j, y):
-    """Height between the two samples beside a line at major index ``j`` and minor position ``y``; NaN if both lack."""
+    """Height between the two samples beside a line at major index ``j`` and minor position ``y``; NaN if none."""
     count = heights.shape[0] if major_is_col else heights.shape[1]
     y = min(max(y, 0.0), count - 1.0)
     i = min(np.int64(y), max(count - 2, 0))
@@ -78,8 +77,10 @@ def _profile(heights, major_is_col, j, y):
 
 @inlined
 def _middle(heights, major_is_col, j, i, cell):
-    """What stands in the middle of a cell cut the other way, on a line along diagonals, towards the light of major
-    index j and minor index i (``OwnCell.points``); NaN: nothing."""
+    """The height in the middle of a cell that is cut the other way, on a diagonal line; NaN if there is none.
+
+    The cell is on the light's side of major index j and minor index i (``OwnCell.points``).
+    """
     count = heights.shape[0] if major_is_col else heights.shape[1]
     beside, ahead = i + cell.side, j + cell.toward
     if not (cell.odd + i + j) & 1 or i < 0 or i >= count or beside < 0 or beside >= count:
@@ -95,7 +96,7 @@ def _middle(heights, major_is_col, j, i, cell):
 
 @inlined
 def _seen(hull_t, hull_z, size, s, z):
-    """How many points of a hull are left when those are gone that a new point at s of height z hides."""
+    """The number of points left on a hull after removing those that a new point at s of height z hides."""
     while size > 1 and (hull_z[size - 2] - z) * (s - hull_t[size - 1]) >= (hull_z[size - 1] - z) * (
         s - hull_t[size - 2]
     ):
@@ -109,7 +110,7 @@ def _sweep(heights, turned, cell, own, outer, lowest, first, last, line0, out):
 
     Args:
         turned: ``Turned``. outer: ``Outer``.
-        cell: samples' own cells. own: metres that they reach, within which ``_gather`` looks.
+        cell: samples' own cells. own: their reach in metres, which ``_gather`` covers.
     """
     major_is_col, forward, slant, metres = turned
     outer_pool, outer_ints, outer_floats = outer
@@ -176,14 +177,14 @@ def _sweep(heights, turned, cell, own, outer, lowest, first, last, line0, out):
                 top -= 1
             slope = (hull_z[top] - z) / (s - hull_t[top]) if top >= 0 else lowest
             out[line - line0, j] = max(slope, lowest)
-            if -1.0 + 1e-6 < y < minors - 1e-6:  # lines beside the border see its samples, but not beyond the next one
+            if -1.0 + 1e-6 < y < minors - 1e-6:  # lines beside the border use its samples, but none beyond the next one
                 hull_t[size], hull_z[size] = s, z
                 size += 1
 
 
 @kernel
 def _gather(lines, line0, major_is_col, slant, heights, cell, out, first, last):
-    """Values on the grid, rows [first, last), between the lines that pass a sample, and of its own cell."""
+    """Values at samples in rows [first, last), from the lines beside each and from its own cell."""
     rows, cols = out.shape
     for i in range(first, last):
         for k in range(cols):
@@ -225,11 +226,11 @@ def sunward(
         windows: of box means, outermost first, each inside the one before.
         linear: (2, 2) linear part of the geotransform at full resolution: metres east and north per column and per row.
         azimuth: degrees clockwise from grid north, towards the light.
-        lowest: slopes are at least this.
+        lowest: the smallest slope.
         jobs: threads.
 
     Returns:
-        for each window (rows, cols) float32; NaN where nothing is known of a sample's surroundings.
+        for each window (rows, cols) float32; NaN where a sample's surroundings are unknown.
     """
     a = math.radians(azimuth)
     step = np.linalg.solve(np.asarray(linear, np.float64), [math.sin(a), math.cos(a)])  # columns, rows per metre

@@ -1,8 +1,8 @@
 """The inclination of every sample: gradients by central differences over cells of any affine shape, and unit normals.
 
 A sample's two differences (along its row and its column) are taken between its neighbours, or one-sided where one of
-them is missing or beyond the border, and turned into metres per metre east and north by the inverse of the cells'
-linear map, so that rectangular, rotated and south-up rasters are right alike. Second order inside, exact on planes.
+them is missing or beyond the border, and converted to metres per metre east and north by the inverse of the cells'
+linear map, so that rectangular, rotated and south-up rasters are correct too. Second order inside, exact on planes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def central(before: float, here: float, after: float, back: float, ahead: float)
 def _differences(
     heights: Heights, inverse: NDArray[np.float64], first: int, last: int, east: Heights, north: Heights
 ) -> None:
-    """Gradients of rows [first, last); ``inverse`` (2, 2) turns (east, north) into (columns, rows)."""
+    """Gradients of rows [first, last); ``inverse`` (2, 2) maps (east, north) to (columns, rows)."""
     rows, cols = heights.shape
     nan = np.float32(np.nan)
     for i in range(first, last):

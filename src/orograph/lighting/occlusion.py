@@ -2,15 +2,16 @@
 
     A = 1/π ∬ ρ(L(p, ω)) ⟨ω, n⟩ dω   over the hemisphere around the normal n
 
-with L the free path from p in direction ω, clamped to the radius R, and ρ what an occluder at that distance lets
-through (``rho``; Zhukov, Iones & Kronin 1998). Two ways of getting L here, two more on the GPU (``ELSEWHERE``):
+with L the free path from p in direction ω, clamped to the radius R, and ρ the share that an occluder at that distance
+lets through (``rho``; Zhukov, Iones & Kronin 1998). There are two ways to find L here, and two more on the GPU
+(``ELSEWHERE``):
 
 - ``rays``: Monte Carlo with directions of density ⟨ω, n⟩/π, so that A is the mean of ρ over N rays (the caster's);
-- ``horizon``: in M azimuths the integral over elevations is done in closed form. For a step only the highest elevation
-  within R matters, and the weight's integral is elementary. For any other ρ the horizon alone cannot say how far away
-  the lower elevations end; but the ground that raises the horizon, on the way out to it, is just what those rays meet,
-  so a walk that keeps every rise of the horizon knows L for all of them. Without a radius (step only) horizons are
-  swept, which costs the same however far they reach.
+- ``horizon``: in M azimuths, the integral over elevations has a closed form. For a step, only the highest elevation
+  within R matters, and the weight's integral is elementary. For any other ρ, the horizon alone does not tell how far
+  away lower elevations end; but the rays at those elevations end exactly on the ground that raises the horizon on the
+  way out, so a walk that records every rise of the horizon knows L for all of them. Without a radius (step only)
+  horizons are swept, at a cost that does not depend on their distance.
 
 Light comes from the whole hemisphere around the normal, including from below the horizon where the ground falls away,
 and space beyond the terrain's border is free: an inclined plane has A = 1, where its sky-view factor is (1 + cos) / 2.
@@ -50,11 +51,11 @@ ELSEWHERE = {
     "shadow-maps": "orograph.lighting.gpu.occlusion_maps",
     "cone-tracing": "orograph.lighting.gpu.cone_tracing",
 }
-"""Methods of later layers: modules with ``run(context) → blocks``. They are known here only by name, and imported on
-demand: this layer works without a GPU and its extra."""
+"""Methods of later layers: modules with ``run(context) → blocks``. This layer has only their names, imports them on
+demand, and so works without a GPU and its extra."""
 
 LIFT = 1e-4
-"""Rays begin this far above the ground, in cells: the ε of p + εω, but upward, so that they begin on the lit side."""
+"""Height in cells at which rays begin: the ε of p + εω, but upward, so that they begin on the lit side."""
 
 _TIE = 1e-9
 _BLOCK, _WIDTH = 256, 512
@@ -63,10 +64,10 @@ _PER_SAMPLE = 24
 
 
 def edges(linear: Array, azimuth: float, radius: float) -> Edges:
-    """The edges of the triangulation that a walk crosses, from a sample outward up to ``radius`` metres and one beyond.
+    """The edges of the triangulation that a walk crosses, from a sample outward to ``radius`` metres and one beyond.
 
-    Cells are cut along the diagonals that join samples of even (row + column), so all edges lie on the lines
-    x = k, y = k, x − y = c and x + y = c, with c of the parity of the sample the walk begins at.
+    Cells are cut along the diagonals that join samples of even (row + column), so all edges lie on the lines x = k, y =
+    k, x − y = c and x + y = c, with c of the parity of the walk's first sample.
 
     Args:
         linear: (2, 2) metres east and north per column and per row. azimuth: degrees from grid north.
@@ -102,7 +103,7 @@ def edges(linear: Array, azimuth: float, radius: float) -> Edges:
             found.append(np.stack([s, y0, x0, y0 + step[1] * far, x0 + step[0] * far, f]))
         table = np.concatenate(found, axis=1)
         table = table[:, np.argsort(table[0], kind="stable")]
-        # Several lines meet in a sample: once is enough.
+        # Several lines meet in a sample, which counts once.
         table = table[:, np.concatenate([[True], np.diff(table[0]) > _TIE * radius])] if table.size else table
         tables.append(table)
     starts = np.cumsum([0, tables[0].shape[1], tables[1].shape[1]])
@@ -160,13 +161,13 @@ class Neighbourhood:
         return Samples(z, gx, gy, self.row0 + self.inner[0], self.col0 + self.inner[2], self.inverse, lift)
 
     def scene(self) -> Scene:
-        """What the caster knows of these heights."""
+        """The caster's scene of these heights."""
         if self._scene is None:
             from orograph.raycast.stack import HeightWindow, Stack
 
             heights = self.heights
             short = [max(2 - n, 0) for n in heights.shape]
-            if any(short):  # a caster needs a cell; beside a single row or column there is nothing
+            if any(short):  # a caster needs a cell; a single row or column has no surface
                 heights = np.pad(heights, [(0, n) for n in short], constant_values=np.nan)
             shape = (self.row0 + heights.shape[0], self.col0 + heights.shape[1])
             self._scene = Stack.build([HeightWindow(0, self.col0, self.row0, heights)], shape, 1).scene
@@ -189,7 +190,7 @@ def flat_only(of: Context | Options) -> None:
 
 
 def check_reach(context: Context, reach: float, height: int, width: int, jobs: int) -> None:
-    """Raise UsageError if ``jobs`` blocks of height × width samples with their neighbourhoods do not fit in memory."""
+    """Raise UsageError if ``jobs`` blocks of height × width samples do not fit in memory with their neighbourhoods."""
     tall, wide = context.shape
     if math.isfinite(reach):
         over, down = (math.ceil(reach * float(np.linalg.norm(v))) + 2 for v in np.linalg.inv(context.linear))
@@ -206,10 +207,10 @@ def check_reach(context: Context, reach: float, height: int, width: int, jobs: i
 def by_blocks(
     context: Context, reach: float, work: Callable[[Neighbourhood], Values], what: str, key: str = ""
 ) -> Blocks:
-    """Fixed windows of the terrain, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
+    """Windows of the terrain at fixed places, made by ``work(neighbourhood) → (bands, rows, cols)`` in threads.
 
-    Without limit of reach there is one neighbourhood, the whole terrain. Under ``key`` windows are kept where the
-    context keeps anything.
+    Without a limit of reach there is one neighbourhood, the whole terrain. Windows are kept under ``key`` if the
+    context keeps partial results.
 
     Raises:
         UsageError: what lies within reach of a block does not fit in the memory allowed.
@@ -313,7 +314,7 @@ def make(context: Context) -> Blocks | Sweep:
 
 
 def check(options: Options) -> None:
-    """Raise UsageError if the method, ρ, radius and rays of the options do not go together."""
+    """Raise UsageError if the method, ρ, radius and rays in the options do not fit together."""
     method: Method = options.more.get("method", "horizon")
     if method != "horizon" and method != "rays" and method not in ELSEWHERE:
         raise UsageError(f"There is no method {method!r}; the methods are horizon, rays, {' and '.join(ELSEWHERE)}.")

@@ -1,13 +1,13 @@
-"""Compiled loops over samples that ask what is seen from the ground: rays through the caster, walks along azimuths.
+"""Compiled loops over samples for what is visible from the ground: rays through the caster, walks along azimuths.
 
-*Rays* start a little above their sample (so that they are on its lit side) and meet the surface itself, cells cut along
+*Rays* start slightly above their sample (so that they are on its lit side) and meet the surface itself, cells cut along
 their diagonals, as the caster defines it. The N directions of a sample are a Fibonacci lattice of the unit square,
-shifted at random by a hash of (row, column, seed) (Cranley & Patterson 1976): stratified, unbiased, and the same
-whatever the blocks and threads. Directions are metres (east, north, up); t is metres.
+shifted at random by a hash of (row, column, seed) (Cranley & Patterson 1976): stratified, unbiased, and independent of
+blocks and threads. Directions are metres (east, north, up); t is metres.
 
 *Walks* follow one azimuth from a sample over every edge of the triangulation that it crosses. Between edges the surface
-is straight, so nothing is sampled: what a walk finds is exact for its azimuth. The edges crossed are the same for all
-samples of one parity of (row + column), and come as a table.
+is straight, so nothing is sampled: a walk is exact for its azimuth. The crossed edges are the same for all samples of
+one parity of (row + column), and come as a table.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from orograph.raycast.kernels import ray
 
 GOLDEN = 0.6180339887498949
 LEVEL = 2
-"""Where in the caster's pyramid a ray begins: near the ground, which most occluders are."""
+"""The level of the caster's pyramid at which a ray begins: low, because most occluders are near."""
 
 
 class Samples(NamedTuple):
@@ -71,7 +71,7 @@ def _mixed(x):
 
 @inlined
 def _shift(row, col, seed):
-    """Two numbers in [0, 1) that belong to a sample."""
+    """Two numbers in [0, 1) for a sample."""
     key = (np.uint64(row) << np.uint64(32)) ^ np.uint64(col)
     a = _mixed(key + np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(0x9E3779B97F4A7C15))
     b = _mixed(a + np.uint64(0x9E3779B97F4A7C15))
@@ -80,7 +80,7 @@ def _shift(row, col, seed):
 
 @inlined
 def _frame(x, y, z):
-    """Two unit vectors square to a unit vector and to each other (Duff et al. 2017)."""
+    """Two unit vectors perpendicular to a unit vector and to each other (Duff et al. 2017)."""
     sign = 1.0 if z >= 0.0 else -1.0
     a = -1.0 / (sign + z)
     b = x * y * a
@@ -104,7 +104,7 @@ def _rho(table, length, radius):
 
 @inlined
 def _first_hit(scene, samples, i, j, e, n, up, far, spans):
-    """How far away the ray from a sample in a direction meets the surface, metres; inf: not within ``far``."""
+    """The distance at which the ray from a sample in a direction meets the surface, metres; inf: not within ``far``."""
     inverse = samples.inverse
     o = np.float64(j + samples.col0), np.float64(i + samples.row0), np.float64(samples.heights[i, j]) + samples.lift
     d = inverse[0, 0] * e + inverse[0, 1] * n, inverse[1, 0] * e + inverse[1, 1] * n, up
@@ -142,10 +142,10 @@ def ray_occlusion(scene, samples, transmission, rays, seed, out):
 
 @kernel
 def ray_disc(scene, samples, axis, cosine, weigh, rays, seed, out):
-    """What a cap of directions around ``axis`` (cosine of its radius ``cosine``) sends to ``Samples``.
+    """The light on ``Samples`` from a cap of directions around ``axis`` (cosine of its radius ``cosine``).
 
-    The mean over directions uniform in the cap of: whether it is seen; or (``weigh``) its cosine to the normal where it
-    is.
+    It is the mean over directions uniform in the cap of whether each is visible; or (``weigh``) of its cosine to the
+    normal if it is visible.
     """
     heights, gx, gy = samples.heights, samples.gx, samples.gy
     spans = np.empty((scene.ints.shape[0], 2))
@@ -175,8 +175,10 @@ def ray_disc(scene, samples, axis, cosine, weigh, rays, seed, out):
 
 @kernel
 def ray_cone(scene, samples, radius, rays, seed, out):
-    """Moments of what ``Samples`` see of the upper hemisphere: ``out`` (4, rows, cols) float64 gets the integral of V·ω
-    (east, north, up) and of V over solid angle. Nothing is hit beyond ``radius``.
+    """Moments of the upper hemisphere as seen by ``Samples``.
+
+    ``out`` (4, rows, cols) float64 receives the integral of V·ω (east, north, up) and of V over solid angle. Nothing is
+    hit beyond ``radius``.
     """
     heights = samples.heights
     spans = np.empty((scene.ints.shape[0], 2))
@@ -211,7 +213,7 @@ def _zenith(nz, c):
 
 @kernel
 def add_sky(slope, gx, gy, east, north, row0, col0, out):
-    """Add to ``out`` what the sky above horizons sends from one azimuth: 2π/π ∫ ⟨ω, n⟩ cos θ dθ above ``slope``.
+    """Add the light of the sky above horizons from one azimuth to ``out``: 2π/π ∫ ⟨ω, n⟩ cos θ dθ above ``slope``.
 
     slope, gx, gy: (rows, cols) of a window of ``out`` that begins at (row0, col0).
     """
@@ -238,14 +240,14 @@ def _clip(sa, za, sb, zb, radius):
 
 @inlined
 def _reach(s0, z0, s1, z1, t):
-    """How far along a ray of slope t a piece of profile is met; an end of it where rounding puts the ray beside."""
+    """The distance along a ray of slope t at which it meets a piece of profile, clamped to the piece's ends."""
     steep = (z1 - z0) - t * (s1 - s0)
     f = min(max((t * s0 - z0) / steep, 0.0), 1.0) if steep != 0.0 else 0.5
     return (s0 + f * (s1 - s0)) * np.sqrt(1.0 + t * t)
 
 
 WIDE = 0.1
-"""Radians of elevation over which one parabola stands for ρ along a piece of profile."""
+"""Radians of elevation over which one parabola approximates ρ along a piece of profile."""
 
 
 @leaf
@@ -255,7 +257,7 @@ def _lost(table, free, radius, nz, c, slope, s0, z0, s1, z1):
     w0, w1 = _weight(nz, c, slope), _weight(nz, c, t1)
     if s0 <= 0.0:  # the facet at the sample's foot
         return (w1 - w0) * (free - table[0])
-    if z0 != z0:  # behind a hole: taken for a wall
+    if z0 != z0:  # behind a hole: counts as a wall
         return (w1 - w0) * (free - _rho(table, s1 * np.sqrt(1.0 + t1 * t1), radius))
     below = slope * s0 - z0
     if below > 0.0:  # its first part is hidden
@@ -288,7 +290,7 @@ def _lost(table, free, radius, nz, c, slope, s0, z0, s1, z1):
 def walk_occlusion(heights, gx, gy, highest, edges, toward, transmission, window, out):
     """Add to ``out`` what the samples of a window receive from one azimuth: 2π/π ∫ ρ(L) ⟨ω, n⟩ cos θ dθ.
 
-    Going outward, ground that stands above all before it hides the elevations between: they end there, at that
+    Going outward, ground that rises above everything before it ends the rays at the elevations in between, at its
     distance. Elevations above everything within R are free.
 
     Args:
@@ -312,10 +314,10 @@ def walk_occlusion(heights, gx, gy, highest, edges, toward, transmission, window
             base = np.float64(heights[i, j])
             nx, ny, nz = _normal(g, h)
             c = nx * east + ny * north
-            slope = g * east + h * north  # the ground's own: nothing below it counts
+            slope = g * east + h * north  # the ground's own slope: nothing below it counts
             full = _zenith(nz, c)
             total = free * (full - _weight(nz, c, slope))
-            skipped = 0.0  # elevations that only what lies beyond R ends
+            skipped = 0.0  # elevations that end only beyond R
             s0, z0 = 0.0, 0.0  # the edge before, relative to the sample; NaN in a hole
             parity = (i + j) & 1
             for k in range(starts[parity], starts[parity + 1]):

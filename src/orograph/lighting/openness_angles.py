@@ -1,13 +1,13 @@
 """Openness: how wide the view is from a sample upwards, or into the ground downwards.
 
 Yokoyama, Shirasawa & Pike 2002, "Visualizing Topography by Openness: A New Application of Image Processing to Digital
-Elevation Models", PE&RS 68(3). *Positive* openness is the mean over azimuths of the largest zenith angle under which
-the sky is seen, 90° − β, β the highest elevation angle along the azimuth, within the radius or without limit; unlike
-for the sky, β may be negative: 90° on any plane, more on ridges, less in valleys. *Negative* openness is the mean nadir
-angle, 90° + δ, δ the lowest elevation angle: the positive openness of the terrain turned upside down. It is not the
-complement of the positive one.
+Elevation Models", PE&RS 68(3). *Positive* openness is the mean over azimuths of the largest zenith angle at which the
+sky is visible, 90° − β, with β the highest elevation angle along the azimuth, within the radius or without limit;
+unlike for the sky, β may be negative: 90° on any plane, more on ridges, less in valleys. *Negative* openness is the
+mean nadir angle, 90° + δ, with δ the lowest elevation angle: the positive openness of the terrain turned upside down.
+It is not the complement of the positive one.
 
-Where the terrain ends at a sample (a border, or nothing but missing samples) an azimuth is left out of the mean.
+Azimuths in which the terrain ends at a sample (a border, or only missing samples) are left out of the mean.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Values = NDArray[np.float32]
 
 @kernel
 def _angles(slopes: Values, total: Values, count: Values) -> None:
-    """Add the zenith angles, radians, of one azimuth's horizons, and count those that there are."""
+    """Add the zenith angles of one azimuth's horizons, radians, and count them."""
     zero, one, right = np.float32(0.0), np.float32(1.0), np.float32(0.5 * np.pi)
     for j in range(len(total)):
         t = slopes[j]

@@ -1,7 +1,7 @@
-"""What a sample sees of its own cell towards the light: the horizon up to one step away, from the surface's triangles.
+"""What a sample sees of its own cell towards the light: the horizon within one step, from the surface's triangles.
 
-Lines of a sweep pass beside a sample, and are as far off there as the ground is rough. Beyond one step that evens out.
-Slopes are tangents of elevation angles; heights are metres, NaN where missing.
+Lines of a sweep pass beside a sample, and near it they are wrong by as much as the ground is rough. Beyond one step
+this evens out. Slopes are tangents of elevation angles; heights are metres, NaN where missing.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from orograph._numba import inlined
 
 
 class OwnCell(NamedTuple):
-    """How samples find the other three corners of their own cells, those on the side of the light.
+    """How to find the other three corners of a sample's own cell, on the side of the light.
 
     Attributes:
-        reach: steps to where the cell ends: 1, or 0 where lines run through the samples and see all that there is.
-        toward: 1 or −1, from a step to the one nearer to the light. edge: the step that has no such one.
+        reach: steps to the end of the cell: 1, or 0 where lines run through the samples and are exact.
+        toward: 1 or −1, from a step to the next one towards the light. edge: the step that has none.
         side: 1, −1 or 0, lanes to the sample on that side. part: lanes that a line moves by in a step, from 0 to 1.
         odd: 1 if row + column of the sample in lane 0 at step 0 is odd.
-        points: of a line in a step: 1, or 2 where lines run along the cells' diagonals. Of a line through samples of
-            odd row + column all cells are cut the other way, and what stands in their middles is a point of its own.
-        scale: steps per metre. sag: what a round body takes off the slope to a point one step away.
+        points: of a line in a step: 1, or 2 where lines run along the cells' diagonals. On a line through samples of
+            odd row + column, all cells are cut the other way, and the middle of each is a separate point.
+        scale: steps per metre. sag: how much a round body lowers the slope to a point one step away.
     """
 
     reach: np.float64
@@ -39,14 +39,14 @@ class OwnCell(NamedTuple):
 
 @inlined
 def cell_slope(z, major, both, minor, odd, cell):  # type: ignore[no-untyped-def]
-    """The slope of what a sample sees of its own cell: of its triangle, and up to one step away. NaN: nothing.
+    """The slope of a sample's own triangle towards the light, up to one step away. NaN: nothing.
 
-    The cell's diagonal runs through samples of even row + column. From those the triangle's far side is at one step,
-    from the others it is the diagonal. A missing sample of the far side is replaced by the other one.
+    The cell's diagonal runs through samples of even row + column. For those, the triangle's far side is one step away;
+    for the others it is the diagonal. A missing sample of the far side is replaced by the other one.
 
     Args:
-        z: height of the sample. major, both, minor: of those one step towards the light, there and to the side, to the
-            side.
+        z: height of the sample. major, both, minor: those of the samples one step towards the light, towards the light
+            and to the side, and to the side.
     """
     m = major if major == major else both
     d = both if both == both else m

@@ -3,7 +3,7 @@
 A ``Product`` defines the names and units of its bands, and has a function that makes it: given a ``Context`` (terrain,
 options, threads, memory, progress, and the horizons as they are swept) it yields blocks ``(row0, col0, values (bands,
 rows, cols) float32)``, in any order, that cover the raster once. A module that makes products lists them in its
-``PRODUCTS``; it is imported when one of them is wanted (``_HOMES``).
+``PRODUCTS``; it is imported when one of them is used (``_HOMES``).
 
 Results do not depend on blocks, threads or memory, to the bit.
 """
@@ -59,7 +59,7 @@ class Product:
             ``gather.Sweep``, for sums over horizons.
         byte: the values that 8-bit files show as 1 and as 255 (0 is missing).
         about: (band, options) → the specifics of a band: ``unit``, ``byte`` or ``codes`` of its ``Band``.
-        check: raises UsageError where options make no sense, before there is a terrain; ``make`` does so as well.
+        check: raises UsageError if options make no sense, before there is a terrain; ``make`` does so too.
     """
 
     name: str
@@ -111,7 +111,7 @@ MEANT = {
     **dict.fromkeys(("sun-hours", "sunshine-hours", "sunshine-duration", "sun-duration", "hours"), "sunshine"),
     **dict.fromkeys(("sun", "hours-of-sun", "direct-sun", "insolation-time", "duration"), "sunshine"),
 }  # fmt: skip
-"""Names of products in other tools, and here."""
+"""Names of products in other tools, and their equivalents here."""
 
 
 def product(name: str) -> Product:

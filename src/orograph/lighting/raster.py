@@ -68,8 +68,10 @@ class Canvas:
 
 
 def trim() -> None:
-    """Return free memory to the system, since the C library would keep it: glibc does so with many arrays of up to 32
-    MiB, however much they take together."""
+    """Return free memory to the system.
+
+    The C library would keep it: glibc does so with many arrays of up to 32 MiB, however much they take together.
+    """
     if sys.platform == "linux":
         give_back = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if give_back is not None:
@@ -96,7 +98,7 @@ class Band:
         byte: the values that 8-bit files show as 1 and as 255.
         codes: what its values mean, if they are codes: names of 0 (missing), 1… 8-bit files show them as they are, and
             the tags of all files have them as CF's flags, by which ``--data`` knows classes.
-        long_name: for legends, in its tags; "": there is none.
+        long_name: for legends, in its tags; "": none.
     """
 
     name: str
@@ -117,12 +119,12 @@ class Band:
     @property
     def tags(self) -> dict[str, str]:
         """Its tags in a file."""
-        said = {"description": self.doc, **({"long_name": self.long_name} if self.long_name else {})}
+        texts = {"description": self.doc, **({"long_name": self.long_name} if self.long_name else {})}
         if not self.codes:
-            return said
+            return texts
         numbers = " ".join(map(str, range(len(self.codes))))
         names = " ".join(name.replace(" ", "_") for name in self.codes)
-        return {**said, "flag_values": numbers, "flag_meanings": names}
+        return {**texts, "flag_values": numbers, "flag_meanings": names}
 
     def to_bytes(self, values: Values) -> NDArray[np.uint8]:
         """Values (rows, cols) as in 8-bit files."""

@@ -1,9 +1,9 @@
-"""Work on a map that can go on after an interruption: its canvases are kept after each pass over the terrain.
+"""Work on a map that can resume after an interruption: its canvases are kept after each pass over the terrain.
 
-A folder beside the output holds a plan (what is being made, of which terrain), and for the canvases of each sweep one
-file of their values and one that says which azimuths are in it. After a pass a new file of values is written and then,
-by a rename, made the one that counts: whenever work is cut off, the folder tells of whole passes only. Of what is made
-window by window, by rays or walks, each window is a file.
+A folder beside the output holds a plan (the products and the terrain) and, for the canvases of each sweep, a file of
+their values and one that lists the azimuths in it. After a pass, a new file of values is written and then made current
+by a rename: whenever work is interrupted, the folder describes whole passes only. For products made window by window,
+by rays or walks, each window is a file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from orograph.store.terrain import Terrain
 Values = NDArray[np.float32]
 
 PLAN = "plan.json"
-"""The first file of such a folder, and the last to be removed: what lies beside it belongs to it."""
+"""The first file in such a folder, and the last to be removed: everything beside it belongs to it."""
 
 _CHUNK = 1 << 22
 """Values written at once."""
@@ -48,11 +48,11 @@ def identity(terrain: Terrain) -> str:
 
 
 class Checkpoint:
-    """What has been done of a map.
+    """The finished work on a map.
 
     Args:
-        folder: made if it is not there.
-        plan: what is being made, JSON; other work in the folder is refused.
+        folder: created if necessary.
+        plan: the work, JSON; other work in the folder is refused.
 
     Raises:
         OutputError: the folder holds other work, or cannot be written.
@@ -77,7 +77,7 @@ class Checkpoint:
             raise _unwritable(folder, error) from error
 
     def load(self, key: str, canvases: Sequence[Canvas]) -> list[int]:
-        """Fill canvases with what is kept; the azimuths in them, [] if there is nothing."""
+        """Fill canvases with what is kept; returns the azimuths in them, [] if there is nothing."""
         state = self.folder / f"{key}.json"
         if not state.is_file():
             return []
@@ -113,7 +113,7 @@ class Checkpoint:
             raise _unwritable(self.folder, error) from error
 
     def window(self, key: str, row: int, col: int, make: Callable[[], Values]) -> Values:
-        """A window (bands, rows, cols) of a product that is made window by window: as it was kept, or made and kept.
+        """A window (bands, rows, cols) of a product made window by window: as kept, or made and kept.
 
         From any thread and process: those that make the same window at once make the same bytes.
         """
@@ -122,7 +122,7 @@ class Checkpoint:
             try:
                 return np.asarray(np.load(path, allow_pickle=False), np.float32)
             except (OSError, ValueError, EOFError):
-                pass  # cut off: made anew
+                pass  # truncated: make it again
         values = make()
         part = path.with_suffix(f".{host()}.{os.getpid()}.{threading.get_ident()}.part")
         try:
@@ -134,17 +134,17 @@ class Checkpoint:
         return values
 
     def remove(self) -> None:
-        """The map is complete."""
+        """Remove the folder, when the map is complete."""
         clear(self.folder)
 
 
 def text_of(plan: dict[str, Any]) -> str:
-    """A plan as it lies in its folder."""
+    """A plan as it is stored."""
     return json.dumps(plan, sort_keys=True)
 
 
 def clear(folder: Path) -> None:
-    """Remove a folder of work, if it is there; nobody else may be at work in it."""
+    """Remove a work folder if it exists; nobody else may be working in it."""
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)
@@ -154,7 +154,7 @@ def clear(folder: Path) -> None:
 
 
 def _parts(canvases: Sequence[Canvas]) -> Iterator[Values]:
-    """All values, a few at a time; the memory of canvases on disk is let go of behind them."""
+    """All values, a few at a time; releases the memory of canvases on disk as it goes."""
     for canvas in canvases:
         flat = canvas.values.reshape(-1)
         for start in range(0, flat.size, _CHUNK):

@@ -1,4 +1,4 @@
-"""The slope of the ground at the scale of a pixel: what light falls on.
+"""The slope of the ground at the scale of a pixel, for light.
 
 Heights are averaged over the footprint of a pixel before they are differentiated: gradients of box means, interpolated
 between two levels (trilinear, Williams 1983), so that relief neither sparkles where samples are smaller than pixels nor
@@ -33,8 +33,8 @@ class Windows(NamedTuple):
         size: (W,) 2^level, the side of a block that a sample stands for.
         west, east, north, south: (W,) the window's limits in sample coordinates.
         col0, row0: (W,) its first column and row.
-        short_u, short_v: (W,) by how much of a block the middles of its last column and row are nearer than a block's
-            (at the terrain's border).
+        short_u, short_v: (W,) how much nearer the middles of its last column and row are, as a part of a block (at the
+            terrain's border).
     """
 
     pool: NDArray[np.float32]
@@ -53,7 +53,7 @@ class Windows(NamedTuple):
 
     @classmethod
     def of(cls, pool: NDArray[np.float32], shapes: Sequence[tuple[int, int]], places: ArrayLike) -> Windows:
-        """Windows of these (rows, cols); ``places`` (W, 9): their size and what follows it."""
+        """Room for windows of these (rows, cols); ``places`` (W, 9): their size and the fields after it."""
         rows, cols = np.array(shapes, np.int64).reshape(-1, 2).T
         base = np.concatenate([[0], np.cumsum(rows * cols)[:-1]])
         return cls(pool, base, rows.copy(), cols.copy(), *np.array(places, np.float64).reshape(-1, 9).T.copy())
@@ -68,15 +68,14 @@ class Windows(NamedTuple):
 
     @classmethod
     def over(cls, terrain: Terrain, rectangles: Sequence[Rectangle], *channels: int) -> tuple[ClipStack, Windows]:
-        """What is to be read, and room for it: ``rectangles`` (outermost first), and levels between them that filtering
-        needs."""
+        """The windows to read, and room for them: ``rectangles`` (outermost first), and levels between for filters."""
         wanted: list[Rectangle] = []
-        # A window that covers all the terrain hides those around it; pixels larger than its samples want them.
+        # A window that covers the whole terrain hides those around it, which pixels larger than its samples need.
         for level in range(terrain.levels - 1, rectangles[0].level, -1):
             wanted.append(Rectangle.whole(level, terrain.mean_shape(level)))
         for r, finer in zip(rectangles, [*rectangles[1:], None]):
             wanted.append(r)
-            # Between two windows that are several levels apart lie levels that a pixel may want: cover the finer one.
+            # A pixel may need levels between two windows: let them cover the finer one.
             if finer is None:
                 break
             for level in range(r.level - 1, finer.level, -1):
@@ -87,7 +86,7 @@ class Windows(NamedTuple):
         for k, r in enumerate(clipped):
             s = 2.0**r.level
             rows, cols = terrain.mean_shape(r.level)
-            # Differences reach one block out, unless the terrain ends there; the outermost takes whatever comes.
+            # Differences reach one block outside, unless the terrain ends there; the outermost window takes any point.
             west, north = (f * s + s if f and k else -np.inf for f in (r.col0, r.row0))
             east = r.col1 * s - s if r.col1 < cols and k else np.inf
             south = r.row1 * s - s if r.row1 < rows and k else np.inf
@@ -115,7 +114,7 @@ def finest(windows, x, y, least):
 
 @leaf
 def _beside_gaps(pool, base, rows, cols, u, v, short_u, short_v):
-    """``slope_at`` beside borders and missing samples: each sample's slope of what is there, then between them."""
+    """``slope_at`` beside borders and missing samples: slopes from existing neighbours, then interpolated."""
     j0 = min(max(np.int64(np.floor(u)), 0), max(cols - 2, 0))
     i0 = min(max(np.int64(np.floor(v)), 0), max(rows - 2, 0))
     fu, fv = min(max(u - j0, 0.0), 1.0), min(max(v - i0, 0.0), 1.0)
@@ -151,7 +150,7 @@ def _beside_gaps(pool, base, rows, cols, u, v, short_u, short_v):
 def slope_inside(pool, base, cols, u, v):
     """``slope_at`` away from borders, at (u, v) in a window's columns and rows; NaN if one of 12 samples is missing.
 
-    ``base`` and ``cols`` are uint64: indices without a sign need no care for those below 0.
+    ``base`` and ``cols`` are uint64, because unsigned indices need no handling of negative values.
     """
     j, i = np.int64(u), np.int64(v)
     f, g = u - j, v - i

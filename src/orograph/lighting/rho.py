@@ -1,10 +1,10 @@
-"""How much an occluder at a distance lets through: the function ρ of ambient occlusion.
+"""How much light an occluder at a distance lets through: the function ρ of ambient occlusion.
 
 ρ maps the free path L in [0, R] to [0, 1] (Zhukov, Iones & Kronin 1998, sec. 2, their function of distance):
 
-- ``step``: 0 for L < R, 1 at R: light of the sky, R being as far as anything occludes;
-- ``linear``: L / R: light that fills the volume, a near wall taking more than a far one;
-- any function of L in metres, taken from R's 1,025 equal parts and interpolated between them.
+- ``step``: 0 for L < R, 1 at R: light of the sky, with nothing occluding beyond R;
+- ``linear``: L / R: light that fills the volume, so that a near wall hides more than a far one;
+- any function of L in metres, tabulated at R's 1,025 equal parts and interpolated between them.
 
 Kernels take it as a table over [0, R) and its value at R, which alone counts for rays that meet nothing.
 """
@@ -33,9 +33,9 @@ class Transmission(NamedTuple):
 
     Attributes:
         table: (n,) float64, ρ at equal parts of [0, R].
-        free: ρ(R), of a ray that meets nothing.
+        free: ρ(R), for a ray that meets nothing.
         radius: R, metres; inf: unlimited.
-        step: whether ρ is 0 for all L < R and 1 at R, so that only what meets nothing counts.
+        step: whether ρ is 0 for all L < R and 1 at R, so that only rays that meet nothing count.
     """
 
     table: Array

@@ -9,13 +9,13 @@ Two bands:
    hides).
 
 The skyline is the horizon in the sun's azimuth. With one *strip* it counts as level across the disc, which covers half
-a degree of azimuth: exact where the skyline is level there; one inclined by 45° costs up to a tenth of the disc, an
-upright one up to a half. With n strips the disc is cut into n upright strips, each with the horizon of its own azimuth,
-placed and weighted by Gauss–Chebyshev quadrature of the second kind (whose weight is the disc's own chord); n horizons
-are swept.
+a degree of azimuth: exact where the skyline is level there. If it is inclined by 45°, the error is up to a tenth of the
+disc; if it is vertical, up to a half. With n strips the disc is cut into n upright strips, each with the horizon of its
+own azimuth, placed and weighted by Gauss–Chebyshev quadrature of the second kind (whose weight is the disc's own
+chord); n horizons are swept.
 
-Horizons are those of the profiles along swept lines (``sweep``), between samples interpolated; behind the terrain's
-border lies a level horizon. ``shadow_rays`` instead sends rays over the disc to the surface itself.
+Horizons are those of the profiles along swept lines (``sweep``), interpolated between samples; behind the terrain's
+border the horizon is level. ``shadow_rays`` instead sends rays over the disc to the surface itself.
 Angles in degrees; azimuth from grid north.
 """
 
@@ -77,7 +77,7 @@ def make(context: Context) -> Sweep:
 
     def finish(canvas: Values, window: Window) -> Values:
         total, facing = canvas[:, window[0] : window[1], window[2] : window[3]]
-        # Weights add up to 1 but for rounding, which must not leave the light of a whole disc in the penumbra.
+        # Weights add up to 1 except for rounding, which must not put the light of a whole disc into the penumbra.
         fraction = np.where(total < 1e-6, np.float32(0), np.where(total > 1 - 1e-6, np.float32(1), total))
         code = np.where(fraction <= 0, CAST, np.where(fraction < 1, PENUMBRA, LIT))
         code = np.where(np.isnan(fraction), MISSING, np.where(facing == SELF, SELF, code))
@@ -147,7 +147,7 @@ def shadow_rays(
         return out
 
     seen: Values = collected(context, by_blocks(context, math.inf, work, "Casting rays to the sun"), 1)[0]
-    # Of a wide disc the rim sends less to a surface square to its middle: the mean cosine is (1 + cos radius) / 2.
+    # The rim of a wide disc gives less on a surface that faces its middle: the mean cosine is (1 + cos radius) / 2.
     return np.asarray(seen / np.float32((1 + rim) / 2)) if cosine else seen
 
 

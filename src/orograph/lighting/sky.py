@@ -1,16 +1,16 @@
-"""How much of the sky is left above the horizon: sky-view factor, visible sky, and the horizon's angle itself.
+"""How much sky is visible above the horizon: sky-view factor, visible sky, and the horizon's angle itself.
 
-With h(φ) the elevation of the horizon in azimuth φ (at least 0), over N azimuths evenly spread:
+With h(φ) the elevation of the horizon in azimuth φ (at least 0), over N evenly spread azimuths:
 
-- the *visible sky*, the share of the hemisphere's solid angle that is seen, unweighted: 1 − mean sin h. It is what
-  Zakšek, Oštir & Kokalj 2011 ("Sky-View Factor as a Relief Visualization Technique", Remote Sensing 3(2), eq. 4) and
-  GRASS's r.skyview call the sky-view factor;
-- the *sky-view factor of a horizontal surface*, the share of a uniform sky's light that falls on it, each direction
-  weighted by its cosine: 1 − mean sin² h;
-- the *sky-view factor of the inclined surface itself* (Dozier & Frew 1990, "Rapid Calculation of Terrain Parameters
-  for Radiation Modeling from Digital Elevation Data", IEEE TGRS 28(5), eq. 7b), the sky being what lies above both its
-  horizon and its own plane. With slope S, aspect A and H the zenith angle of the higher of the two:
-  mean [cos S sin² H + sin S cos(φ − A) (H − sin H cos H)]; (1 + cos S) / 2 on an endless plane.
+- the *visible sky*, the visible share of the hemisphere's solid angle, unweighted: 1 − mean sin h. Zakšek, Oštir &
+  Kokalj 2011 ("Sky-View Factor as a Relief Visualization Technique", Remote Sensing 3(2), eq. 4) and GRASS's r.skyview
+  call it the sky-view factor;
+- the *sky-view factor of a horizontal surface*, the share of a uniform sky's light that falls on it, with each
+  direction weighted by its cosine: 1 − mean sin² h;
+- the *sky-view factor of the inclined surface itself* (Dozier & Frew 1990, "Rapid Calculation of Terrain Parameters for
+  Radiation Modeling from Digital Elevation Data", IEEE TGRS 28(5), eq. 7b), where the sky is above both its horizon and
+  its own plane. With slope S, aspect A and H the zenith angle of the higher of the two: mean [cos S sin² H + sin S
+  cos(φ − A) (H − sin H cos H)]; (1 + cos S) / 2 on an endless plane.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Measure = Literal["sky-view", "sky-view-slope", "visible-sky"]
 
 @inlined
 def arctangent(t: np.float32) -> np.float32:
-    """arctan t, radians, for t ≥ 0: a polynomial, which a compiler can turn into vectors.
+    """arctan t, radians, for t ≥ 0: a polynomial, which a compiler can vectorise.
 
     Abramowitz & Stegun 4.4.49, error below 2e-8 before rounding.
     """
@@ -54,7 +54,7 @@ def arctangent(t: np.float32) -> np.float32:
     return np.float32(0.5 * np.pi) - a if t > one else a
 
 
-# Kernels on rows: indices into whole arrays might be negative as far as a compiler knows, and cost it its vectors.
+# Kernels on rows: a compiler cannot exclude negative indices into whole arrays, and then does not vectorise.
 
 
 @kernel
@@ -76,11 +76,11 @@ def _square(slopes: Values, total: Values) -> None:
 
 @kernel
 def _inclined(slopes: Values, gx: Values, gy: Values, east: np.float32, north: np.float32, total: Values) -> None:
-    """Add what an azimuth gives to inclined samples, but for their cos S."""
+    """Add an azimuth's contribution to inclined samples, without their factor cos S."""
     one, right = np.float32(1.0), np.float32(0.5 * np.pi)
     for j in range(len(total)):
         rise = gx[j] * east + gy[j] * north
-        t = max(slopes[j], rise)  # a slope hides the sky behind itself
+        t = max(slopes[j], rise)  # a slope hides the sky behind it
         square = one / (one + t * t)
         total[j] += square - rise * (right - arctangent(t) - t * square)
 
@@ -103,7 +103,7 @@ def _add_inclined(
     slopes: Values, cols: int, first: int, last: int, gx: Values, gy: Values, toward: Values, row0: int, col0: int,
     total: Values,
 ) -> None:  # fmt: skip
-    """Add what each azimuth ``toward`` (k, 2) (east, north) gives to inclined samples, but for their cos S.
+    """Add the sky in each azimuth ``toward`` (k, 2) (east, north) for inclined samples, without their factor cos S.
 
     ``gx``, ``gy``: (last − first, cols) rise per metre east and north.
     """
@@ -114,7 +114,7 @@ def _add_inclined(
 
 
 def sweep_of(context: Context, measure: Measure) -> Sweep:
-    """A measure as sums of its integrand over the azimuths of the options."""
+    """A measure as sums of its integrand over the azimuths in the options."""
     azimuths = context.options.directions()
     toward = np.array([direction(a) for a in azimuths], np.float32)
 
@@ -131,7 +131,7 @@ def sweep_of(context: Context, measure: Measure) -> Sweep:
 
 
 def finish(context: Context, total: Values, measure: Measure, window: tuple[int, int, int, int]) -> Values:
-    """The measure (1, rows, cols) of a window out of its sums."""
+    """The measure (1, rows, cols) of a window from its sums."""
     row0, row1, col0, col1 = window
     mean = total[row0:row1, col0:col1] / np.float32(context.options.azimuths)
     if measure == "sky-view-slope":

@@ -5,12 +5,12 @@ nutation's small terms), computed by the library ``astral``; from there a rotati
 poles included: within 0.02° of the Solar Position Algorithm (SPA: Reda & Andreas 2004), 0.003° on average, at 300
 random moments and places of 2000–2080.
 Altitudes are *apparent*: lifted by the refraction of a standard atmosphere at sea level (Sæmundsson 1986, as in the
-SPA: 0.48° for a sun geometrically on the horizon, 0.09° at 10°), since light arrives from where the sun is seen.
+SPA: 0.48° for a sun geometrically on the horizon, 0.09° at 10°), because light arrives from where the sun appears.
 
-The real sun's azimuth counts from *true* north. A terrain's grid has a north of its own, which differs by the
-convergence of the meridians (up to some degrees in a UTM zone, any angle in a polar projection): a moment's sun is
-turned by it. A sun given by hand is taken as it is, from grid north, as every other azimuth. Over a terrain it is the
-sun of its middle that counts: at 50 km from there the true one stands up to 0.5° elsewhere.
+The real sun's azimuth counts from *true* north. A terrain's grid has its own north, which differs by the convergence of
+the meridians (up to some degrees in a UTM zone, any angle in a polar projection): a moment's sun is rotated by it. A
+sun given by hand counts from grid north, like every other azimuth. A terrain has one sun, that of its middle: 50 km
+from there the true one is off by up to 0.5°.
 
 Units: degrees; azimuth clockwise from north towards the sun; altitude above the horizon.
 """
@@ -33,11 +33,11 @@ from orograph.geo.grid import Grid
 Array = NDArray[np.float64]
 
 DIAMETER = 0.53
-"""Degrees across the sun's disc, its mean (0.524 in July, 0.542 in January)."""
+"""Mean diameter of the sun's disc, degrees (0.524 in July, 0.542 in January)."""
 
 _EARTH = 6378137.0
 _STEP = 100.0
-"""Metres walked on the ellipsoid to see which way an azimuth points on the grid."""
+"""Length of the step on the ellipsoid that gives an azimuth's direction on the grid, metres."""
 
 
 MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
@@ -52,7 +52,7 @@ class Sun:
         azimuth: degrees clockwise from grid north, towards the sun.
         altitude: degrees above the horizon, apparent.
         diameter: degrees.
-        when: the moment at which it stands there; None: it was not given as one. Suns that differ in it are the same.
+        when: the moment for which it was computed; None: none. Suns that differ only in this are equal.
     """
 
     azimuth: float = 315.0
@@ -70,7 +70,7 @@ class Sun:
 
     @property
     def words(self) -> str:
-        """Where it stands, and when, for people: "21 Sep 2026 18:30 −06:00, sun 263°, 11.2° high"."""
+        """Its position and time, for people: "21 Sep 2026 18:30 −06:00, sun 263°, 11.2° high"."""
         high = f"{abs(round(self.altitude, 1)):g}° {'high' if round(self.altitude, 1) >= 0 else 'below the horizon'}"
         if self.when is None:
             return f"Light from {round(self.azimuth, 1):g}°, {high}"
@@ -135,7 +135,7 @@ class Passage:
 
 
 def passage(given: object) -> Passage | None:
-    """A passage, however it is given; None if it is something else.
+    """A passage from any of its forms; None if it is something else.
 
     Args:
         given: text ``A..B``, two times with their zones (``2026-10-15T06:30-07:00..2026-10-15T18:00-07:00``, or
@@ -203,15 +203,15 @@ def parse(text: str) -> Placed | Moment:
 
 
 Given = Sun | Placed | Moment | datetime.datetime | str | tuple[float, float]
-"""What a sun may be given as (see ``sun_of``)."""
+"""The forms of a sun (see ``sun_of``)."""
 
 
 def sun_of(given: Given, grid: Grid) -> Sun:
-    """The sun over a terrain, however it was given.
+    """The sun over a terrain, from any of its forms.
 
     Args:
         given: a ``Sun``; (azimuth, altitude) in degrees; a datetime with its zone; or text as for ``parse``.
-        grid: the terrain's, which says where a moment's sun stands.
+        grid: the terrain's, which gives the place for a moment's sun.
 
     Raises:
         UsageError: it is none of these, an angle is out of range, the time has no zone, or the grid no place on Earth.
@@ -262,7 +262,7 @@ def position(
     if not (abs(latitude) <= 90 and abs(longitude) <= 360):
         raise UsageError(f"There is no place at longitude {longitude:g}, latitude {latitude:g}.")
     declination, noon = _above(_zoned(when).astimezone(datetime.UTC))
-    # The direction in the horizon's axes, which turns smoothly over the poles too.
+    # The direction in the horizon's axes, which changes smoothly over the poles too.
     d, h, p = math.radians(declination), math.radians(longitude - noon), math.radians(latitude)
     east, south = -math.cos(d) * math.sin(h), math.sin(p) * math.cos(d) * math.cos(h) - math.cos(p) * math.sin(d)
     up = math.sin(p) * math.sin(d) + math.cos(p) * math.cos(d) * math.cos(h)
@@ -284,7 +284,7 @@ def _above(when: datetime.datetime) -> tuple[float, float]:
 def refracted(altitude: float) -> float:
     """Degrees by which refraction lifts an object at a geometric altitude, at 1010 hPa and 10 °C (Sæmundsson 1986).
 
-    Below −1°, where nothing is seen from level ground, it stays what it is there.
+    Below −1°, where nothing is visible from level ground, the value at −1° is used.
     """
     h = max(altitude, -1.0)
     return max(1.02 / math.tan(math.radians(h + 10.3 / (h + 5.11))) / 60.0, 0.0)
@@ -334,7 +334,7 @@ def _earthly(grid: Grid) -> CRS:
 def grid_azimuths(grid: Grid, azimuths: ArrayLike) -> Array:
     """Azimuths from grid north, in [0, 360), of directions (n,) given from true north at the grid's middle.
 
-    A short step is walked on the ellipsoid and projected, so this holds in projections that distort angles as well.
+    A short step on the ellipsoid is projected, so this holds in projections that distort angles too.
 
     Raises:
         UsageError: as ``place``.

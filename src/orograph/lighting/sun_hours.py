@@ -1,9 +1,9 @@
 """Hours of direct sun on the ground over a day, a month or a year, under a cloudless sky.
 
-A sun counts for the time step around it, in proportion to the part of its disc that stands above the ground's horizon;
-the horizon of inclined ground is at least its own plane, so ground that faces away from the sun has none. The suns are
-those of ``energy``; as there, each azimuth needs one table, here of the hours of all its suns above an altitude, which
-one lookup with the horizon's angle turns into the hours from that azimuth.
+A sun counts for the time step around it, in proportion to the part of its disc above the ground's horizon; the horizon
+of inclined ground is at least its own plane, so ground that faces away from the sun gets nothing. The suns are those of
+``energy``. As there, each azimuth needs one table, here of the hours of all its suns above an altitude; one lookup with
+the horizon's angle gives the hours from that azimuth.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def make(context: Context) -> Sweep:
     shine: NDArray[np.bool_] = np.asarray(table.any(axis=1))
 
     def add(out: Values, slopes: Values, gx: Values, gy: Values, row0: int, col0: int, index: int) -> None:
-        # Where no sun stands the table is 0, but missing samples are still marked.
+        # Without a sun the table is 0, but missing samples are still marked.
         if shine[index] or index == 0:
             _add(slopes, gx, gy, direction(fan[index]), table[index], row0, col0, out[0])
 
@@ -66,7 +66,7 @@ def _check(options: Options) -> None:
 
 
 def _range(band: str, options: Options) -> dict[str, Any]:
-    """8-bit files and stores: up to a sun that never sets."""
+    """The range of 8-bit files and stores: up to a sun that never sets."""
     begin, end = period(str(options.more.get("date", "2026-06-21")))
     return {"byte": (0.0, 24.0 * (end - begin).days)}
 

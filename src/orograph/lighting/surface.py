@@ -42,7 +42,7 @@ def aspect_of(east: Values, north: Values) -> Values:
     """Azimuths (1, rows, cols) in which the ground falls, degrees clockwise from north; NaN where it is level."""
     azimuth = np.degrees(np.arctan2(-east, -north))
     azimuth[azimuth < 0] += np.float32(360.0)
-    azimuth[azimuth >= 360.0] = 0.0  # a rounded -0.000001
+    azimuth[azimuth >= 360.0] = 0.0  # -0.000001 after rounding
     azimuth += np.float32(0.0)  # no -0
     azimuth[(east == 0) & (north == 0)] = np.nan
     return azimuth[None]

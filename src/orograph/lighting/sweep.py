@@ -1,22 +1,22 @@
 """Horizons of a whole raster, out of core: sweeps over bands of rows or of columns, several azimuths at a time.
 
 For one azimuth the raster is covered by parallel lines in that direction, one sample apart. A line steps along the axis
-it is closer to (its *major* axis: columns for light from the east, rows from the north) one sample at a time; across it
-heights are interpolated linearly between the two samples on either side. Exact is the horizon at each point of such a
-line for the profile through that line's points. A sample lies between two lines, on the same major step and less than
-one sample from either; its horizon is interpolated linearly between theirs (on a plane that is exact again, which the
+it is closer to (its *major* axis: columns for light from the east, rows from the north) one sample at a time; across
+it, heights are interpolated linearly between the two samples on either side. The horizon at each point of such a line
+is exact for the profile through that line's points. A sample lies between two lines, on the same major step and less
+than one sample from either; its horizon is interpolated linearly between theirs (this is exact on a plane, which the
 nearest line alone would not be). Where a line runs through the samples themselves (azimuths along rows, columns and
-diagonals) there is nothing to interpolate. Missing samples (NaN) are transparent; beside one, the other sample stands
-for both.
+diagonals), nothing is interpolated. Missing samples (NaN) are transparent; beside one, the other sample counts for
+both.
 
 Azimuths that step along the same axis in the same sense share a pass over the raster, away from the light: a band of
-rows or columns is read once, swept for all of them, and handed on before the next. What the next band must know of all
-that went before is the stack of each line (``sweep_kernels``): a few points as a rule. Where they are many (a sea on a
-round body, where every sample is on the hull) and memory is short, stacks go to a scratch file.
+rows or columns is read once, swept for all of them, and handed on before the next. The next band needs only the stack
+of each line from everything before (``sweep_kernels``): usually a few points. If there are many (a sea on a round body,
+where every sample is on the hull) and memory is short, stacks go to a scratch file.
 
-Slopes are tangents of elevation angles above the plane the raster lies in. The terrain ends at the raster's border, and
-behind it lies a level horizon. Azimuths are degrees clockwise from (grid) north towards the light. Nothing depends on
-bands, threads or memory, to the bit.
+Slopes are tangents of elevation angles above the raster's plane. The terrain ends at the raster's border, and behind it
+the horizon is level. Azimuths are degrees clockwise from (grid) north towards the light. Nothing depends on bands,
+threads or memory, to the bit.
 """
 
 from __future__ import annotations
@@ -51,16 +51,16 @@ class Block:
 
     Attributes:
         row0, row1, col0, col1: the window: whole rows or whole columns.
-        azimuths: (k,) indices into the azimuths asked for.
+        azimuths: (k,) indices into the requested azimuths.
         slopes: (k, rows, cols) float32, tangents of the horizon's elevation; NaN where heights are. Valid until the
             work of the next block but one begins.
         ends: whether it is the last of its pass: these azimuths are complete.
-        padded: (k, rows, ≥ cols) the same slopes and what lies between their rows in memory, C-contiguous, for kernels.
-        work: what makes the slopes (``swept`` and ``fold`` do it), in any order, in two parts: each of them carries on
-            with the same part of the block before, and may begin before the other part of that one is done.
-        ahead: what fetches heights for the next block; after all work of the block before, and before the next block is
-            asked for. () if there is too little memory: all of a block's work is to be done before the next one is
-            asked for.
+        padded: (k, rows, ≥ cols) the same slopes with the padding of their rows, C-contiguous, for kernels.
+        work: functions that make the slopes (``swept`` and ``fold`` call them), in any order, in two parts: each part
+            continues the same part of the block before, and may begin before the other part of that one is done.
+        ahead: functions that fetch heights for the next block; call them after all work of the block before, and before
+            requesting the next block. () if there is too little memory: then all of a block's work must be done before
+            the next one is requested.
     """
 
     row0: int
@@ -76,7 +76,7 @@ class Block:
 
 
 def curvature_of(crs: CRS | None, refraction: float = 0.13) -> float:
-    """Curvature, per metre, of a body's surface relative to the rays of light over it: (1 − k) / r.
+    """Curvature, per metre, of a body's surface relative to the rays of light above it: (1 − k) / r.
 
     Args:
         crs: whose ellipsoid's mean radius (2a + b) / 3 is r; None, or one without an ellipsoid: the Earth's.
@@ -114,19 +114,19 @@ def horizons(
         shape: (rows, cols) of the raster.
         linear: (2, 2) linear part of the geotransform [[a, b], [d, e]]: metres east and north per column and per row.
         azimuths: degrees clockwise from north.
-        lowest: slopes are at least this: 0 is a level horizon, -inf keeps what looks down (-inf at the border).
-        below: of the terrain turned upside down.
+        lowest: the smallest slope: 0 is a level horizon, -inf allows negative slopes (-inf at the border).
+        below: use the terrain turned upside down.
         radius: metres beyond which nothing occludes; None: unlimited. Counted in whole steps of a line, at least one.
         curvature: of the body, relative to rays of light, per metre (``curvature_of``); 0: flat.
         jobs: threads that will share the work; None: all processors.
         memory: bytes for bands, slopes and stacks.
-        what: to call it on the progress line.
+        what: its name on the progress line.
         skip: indices of azimuths to leave out.
         band: steps of a band, in samples (default: chosen from ``memory``).
 
     Yields:
-        Blocks: every sample once with every azimuth. At each sample azimuths come in the same order, whatever the bands
-        and however many share a pass.
+        Blocks: every sample once with every azimuth. Azimuths come in the same order at each sample, whatever the bands
+        and the passes.
 
     Raises:
         UsageError: the shape is empty, the cells degenerate, or the radius takes more memory than there is.
@@ -146,9 +146,9 @@ def horizons(
 def ways(
     azimuths: NDArray[np.float64], linear: NDArray[np.float64], shape: tuple[int, int], skip: Collection[int] = ()
 ) -> list[list[Lines]]:
-    """The lines of all azimuths, by axis and sense, in the order in which their horizons come to every sample."""
+    """The lines of all azimuths, by axis and sense, in the order in which every sample gets their horizons."""
     lines = [Lines(k, float(a), linear, shape) for k, a in enumerate(azimuths) if k not in skip]
-    # The same order in all cases: sums over azimuths are the same to the bit.
+    # Always the same order, so that sums over azimuths are the same to the bit.
     lines.sort(key=lambda a: (a.by_columns, a.backward, a.index))
     return [list(group) for _, group in groupby(lines, key=lambda a: (a.by_columns, a.backward))]
 
@@ -169,7 +169,7 @@ def passes_of(
 def blocks_of(passes: Sequence[Pass], read: Read, progress: Progress = SILENT, what: str = "") -> Iterator[Block]:
     """The blocks of passes, one after the other."""
     stages = [(each, band) for each in passes for band in each.bands]
-    # Memory that is used again costs no page faults, which threads wait for one another in.
+    # Reused memory causes no page faults, in which threads would wait for each other.
     largest = max((p.samples for p in passes), default=0)
     slopes = [aligned(largest) for _ in stages[:2]]
     spare: list[Pool] = []
@@ -217,7 +217,7 @@ def _do(work: Work) -> None:
 
 
 def _done(block: Block) -> Block:
-    """A block without its work, and what that holds."""
+    """A block without its work, and without the data it holds."""
     return replace(block, work=((), ()), ahead=())
 
 
@@ -229,20 +229,20 @@ def fold(
 ) -> None:
     """Make the slopes of the blocks of ``horizons`` and use them: ``add(block, first, last)`` for strips of its rows.
 
-    Strips are rows [first, last) of the block's window; those of one block come before those of the next, and
-    ``after(block)`` between them. A block is used while the next one is swept, and threads do not wait for one another.
+    Strips are rows [first, last) of the block's window; those of one block come before those of the next, with
+    ``after(block)`` in between. A block is used while the next one is swept, and threads do not wait for each other.
     """
 
     def groups() -> Iterator[Sequence[Work]]:
         # A group begins when all but the one before it are done (``for_groups``). So the strips of a block come after
-        # both parts of its work, the parts after those of the block before, and what is used before its room is.
+        # both parts of its work, the parts after those of the block before, and memory is used up before it is reused.
         strips: Sequence[Work] = ()
         before: Block | None = None
         for block in blocks:
             yield block.work[0]
             yield [*block.ahead, *strips]
             yield block.work[1]
-            if not block.ahead:  # there is no other, or no memory for both
+            if not block.ahead:  # there is no next block, or no memory for both
                 yield ()
             if before is not None:
                 after(before)

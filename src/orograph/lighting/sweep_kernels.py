@@ -1,22 +1,22 @@
 """Horizons along lines: the kernels of ``sweep``, over one band of steps of a set of parallel lines.
 
-Walking along a line away from the light, the upper convex hull of what has been passed is kept as a stack; the horizon
-of a point is its tangent to that hull, found by popping, so each point is pushed once and popped at most once:
-amortised O(1), whatever the distance (Timonen & Westerholm 2010, "Scalable Height Field Self-Shadowing", Computer
-Graphics Forum 29(2), sec. 3). The stacks of many lines live in pages of one pool, linked backwards: between two bands
-they stay where they are, and take what the hulls take.
+Walking along a line away from the light, the upper convex hull of the passed points is kept as a stack; the horizon of
+a point is its tangent to that hull, found by popping, so each point is pushed once and popped at most once: amortised
+O(1), whatever the distance (Timonen & Westerholm 2010, "Scalable Height Field Self-Shadowing", Computer Graphics Forum
+29(2), sec. 3). The stacks of many lines live in pages of one pool, linked backwards: between two bands they stay in
+place, and take only as much memory as the hulls.
 
-With a radius of R steps the points within R are the end of one block of R points and the beginning of the next. The
-beginning has a stack as above, new in each block. The end's hull is built backwards over its block, each insertion
-remembering what it overwrote; undoing them one by one gives the hull of each shorter end, and a binary search its
-tangent: O(log h) for hulls of h points, exact. Blocks are counted from the line's first step, so bands do not matter.
+With a radius of R steps, the points within R are the end of one block of R points and the beginning of the next. The
+beginning has a stack as above, new in each block. The end's hull is built backwards over its block, and each insertion
+records what it overwrote; undoing them one by one gives the hull of each shorter end, and a binary search its tangent:
+O(log h) for hulls of h points, exact. Blocks are counted from the line's first step, so bands make no difference.
 
 On a round body heights are lowered by a parabola, x²/2r, x steps from the line's beginning. Hulls commute with that
-shear: slopes between points of the bent profile differ from the slopes seen at x by x/r alone, which is added back.
+shear: slopes between points of the bent profile differ from the slopes seen at x only by x/r, which is added back.
 
-What a sample sees of its own cell, up to one step, comes from the surface (``cell_slope``): interpolated lines are
-wrong there by as much as cells are rough. So lines tell the *far* horizon: where the next point of a line is what a
-point sees highest, its far horizon is that point's own horizon, the next one on the hull.
+A sample's view of its own cell, up to one step, comes from the surface (``cell_slope``): interpolated lines are wrong
+there by as much as cells are rough. So lines give the *far* horizon: if the next point of a line is the highest visible
+one, its far horizon is that point's own horizon, the next one on the hull.
 
 Positions are counted in steps from the light's end of the line; heights are metres, float64.
 """
@@ -37,18 +37,18 @@ I32 = NDArray[np.int32]
 PAGE = 32
 """Points in a page of the stacks' pool."""
 GROUP = 16
-"""Lines swept together: as many samples as a cache line holds, so that sweeps across memory use all they fetch."""
+"""Lines swept together: as many as a cache line has samples, so that sweeps across memory use all of it."""
 
 _LOW = PAGE - 1
 _SHIFT = PAGE.bit_length() - 1
 
 
 class Course(NamedTuple):
-    """How lines are looked along.
+    """How to look along lines.
 
     Attributes:
         backward: whether steps run against positions. origin: the position of step 0.
-        scale: steps per metre. lowest: the least slope that is told. bend: the body's curvature, per metre.
+        scale: steps per metre. lowest: the smallest slope in results. bend: the body's curvature, per metre.
     """
 
     backward: bool
@@ -65,7 +65,7 @@ class Stacks(NamedTuple):
         top: (1 + lines,) the place of the nearest point of each line's hull, −1: none; first of the line before the
             first.
         position, height: (pages · PAGE,) of the points. link: (pages,) the place of the point behind a page's first.
-        free: (1 + pages,) how many pages are free, and which.
+        free: (1 + pages,) the number of free pages, and which they are.
     """
 
     top: I64
@@ -76,7 +76,7 @@ class Stacks(NamedTuple):
 
 
 class Target(NamedTuple):
-    """Where horizons go: ``values`` (samples,), from lane to lane and from step to step so many apart."""
+    """The output of horizons: ``values`` (samples,), with strides from lane to lane and from step to step."""
 
     values: F32
     lane: int
@@ -86,7 +86,7 @@ class Target(NamedTuple):
 def working(steps: int) -> tuple[F64, F32]:
     """Profiles and slopes of a group of lines, for ``sweep_lines``.
 
-    A cache line is added to each row: rows a power of two apart would share their places in the processor's cache.
+    A cache line is added to each row, because rows a power of two apart would share cache sets.
     """
     return np.empty((GROUP, steps + 8)), np.zeros((GROUP + 1, steps + 16), np.float32)
 
@@ -95,12 +95,14 @@ def working(steps: int) -> tuple[F64, F32]:
 def _unlimited(
     profile: F64, first: int, last: int, course: Course, own: float, line: int, stacks: Stacks, slope: F32
 ) -> None:
-    """Far horizon slopes of one line's steps [first, last), beyond ``own`` steps, its stack taken up from ``top[line]``
-    and left there. There are enough free pages."""
+    """Far horizon slopes of one line's steps [first, last), beyond ``own`` steps.
+
+    Its stack continues from ``top[line]`` and is left there. There must be enough free pages.
+    """
     backward, origin, scale, lowest, bend = course
     top, position, height, link, free = stacks
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
-    t = top[line]  # slot of the nearest point of the hull, u of the one behind it; -1: there is none
+    t = top[line]  # slot of the nearest point of the hull, u of the one behind it; -1: none
     u = np.int64(-1)
     x1 = z1 = x2 = z2 = 0.0
     if t >= 0:
@@ -114,7 +116,7 @@ def _unlimited(
         if z == z:
             x = np.float64(origin - i if backward else origin + i)
             z -= drop * x * x
-            # The top lies under the line from here to the one behind it: it is hidden from here on.
+            # The top lies below the line from here to the one behind it: it is hidden from now on.
             while u >= 0 and (z1 - z) * (x1 - x2) <= (z2 - z1) * (x - x1):
                 if not t & _LOW:
                     free[0] += 1
@@ -150,21 +152,22 @@ def _limited(
     """Far horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
 
     Positions begin at a multiple of ``reach``. ``near`` and ``end`` (reach, 2) are stacks of (position, height);
-    ``undo`` (reach, 4) is what each insertion into ``end`` changed: its place (-1: none), what lay there, and the size.
+    ``undo`` (reach, 4) is the change by each insertion into ``end``: its place (-1: none), the old content, and the
+    size.
     """
     backward, origin, scale, lowest, bend = course
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
     step = -1 if backward else 1
     x_first = origin - (last - 1) if backward else origin + first
     x_last = x_first + (last - first)
-    ends = 0  # size of ``end``: the hull of what is left of the last block
+    ends = 0  # size of ``end``: the hull of the rest of the last block
     for j in range(reach):
         undo[j, 0] = -1.0
     for begin in range(x_first, x_last, reach):
         stop = min(begin + reach, x_last)
         nears = 0
         for at in range(begin, stop):
-            if at > begin:  # the farthest point falls out of reach
+            if at > begin:  # the farthest point goes out of reach
                 j = at - begin - 1
                 k = int(undo[j, 0])
                 if k >= 0:
@@ -225,11 +228,11 @@ def _limited(
 
 @inlined
 def _horizon(heights, k, ahead, aside, odd, cell, one, other, f):  # type: ignore[no-untyped-def]
-    """The horizon of sample k: of its own cell, or what the lines on both sides of it see beyond theirs; NaN at NaN.
+    """The horizon of sample k: of its own cell, or the lines on both sides beyond theirs; NaN at NaN.
 
     Args:
-        ahead, aside: to the sample one step towards the light, and to that at its side; 0: there is none.
-        one, other: what the lines see. f: the second one's share.
+        ahead, aside: offsets to the sample one step towards the light, and to that at its side; 0: none.
+        one, other: the lines' horizons. f: the second one's share.
     """
     nan = np.float32(np.nan)
     z, near = heights[k], nan
@@ -246,10 +249,9 @@ def _horizon(heights, k, ahead, aside, odd, cell, one, other, f):  # type: ignor
 def _scatter(
     values: F32, swath: Swath, begin: int, lines: int, first: int, last: int, skip: int, target: Target
 ) -> None:
-    """Horizons of samples from values (1 + lines, steps · ``cell.points``), of lines begin − 1 …, and own cells; NaN
-    where heights are.
+    """Horizons of samples from values (1 + lines, steps · ``cell.points``), of lines begin − 1 …, and own cells.
 
-    ``skip`` steps of the heights have no place in the target.
+    NaN where heights are. ``skip`` steps of the heights have no place in the target.
     """
     heights, start, lanes, shift, part, cell = (
         swath.heights, swath.start, swath.lanes, swath.shift, swath.part, swath.cell,
@@ -259,7 +261,7 @@ def _scatter(
         lane0, f = begin + shift[i], part[i]
         b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
         ahead = 0 if cell.reach == 0.0 or i == cell.edge else cell.toward * step_stride
-        # Lanes that have one to the side.
+        # Lanes with a neighbour to the side.
         s0 = min(max(b0, 1 - lane0), b1) if cell.side < 0 else b0
         s1 = max(min(b1, lanes - 1 - lane0), s0) if cell.side > 0 else b1
         base, place = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * target.step
@@ -295,13 +297,14 @@ def sweep_lines(
     swath: Swath, course: Course, line0: int, lines: int, begin: int, stacks: Stacks, profile: F64, slope: F32,
     target: Target,
 ) -> int:  # fmt: skip
-    """Sweep a band of ``len(shift)`` steps for the samples on or just before ``lines`` lines from ``line0``, unlimited.
+    """Sweep a band of ``len(shift)`` steps, without a radius, for the samples of ``lines`` lines from ``line0``.
 
-    Every sample belongs to one line. ``profile`` and ``slope`` are ``working(steps)``; the latter keeps a line's slopes
-    from one group to the next.
+    Samples lie on or just before these lines; every sample belongs to one line. ``profile`` and ``slope`` are
+    ``working(steps)``; the latter keeps a line's slopes from one group to the next.
 
     Returns:
-        the number of lines done; fewer than ``lines`` if the pool has too few free pages to go on: call again with
+        the number of finished lines; fewer than ``lines`` if the pool has too few free pages to continue: call again
+        with
         ``begin`` set to it.
     """
     shift, lanes, own = swath.shift, swath.lanes, swath.cell.reach
@@ -331,11 +334,11 @@ def sweep_lines(
 def sweep_windows(
     swath: Swath, course: Course, line0: int, lines: int, reach: int, skip: int, own: int, target: Target
 ) -> None:
-    """As ``sweep_lines``, among the points within ``reach`` steps only, for steps [skip, skip + own) of the band."""
+    """Like ``sweep_lines``, but only among points within ``reach`` steps, for steps [skip, skip + own) of the band."""
     steps, points = len(swath.shift), swath.cell.points
     finer = _finer(course, points)
     reach *= points
-    # Rows a power of two apart would share their places in the cache.
+    # Rows a power of two apart would share cache sets.
     profile = np.empty((GROUP, points * steps + 8), np.float64)
     slope = np.zeros((GROUP + 1, points * steps + 16), np.float32)
     near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
@@ -351,7 +354,7 @@ def sweep_windows(
                 profile[b], points * first, points * last, finer, swath.cell.reach, reach, near, end, undo,
                 slope[b + 1],
             )  # fmt: skip
-        # The first line of all only takes part in interpolation.
+        # The very first line is only used for interpolation.
         a = 1 if begin < 0 else 0
         _scatter(slope[a:], swath, line0 + begin + a, count - a, skip, skip + own, skip, target)
         slope[0] = slope[count]
@@ -359,6 +362,6 @@ def sweep_windows(
 
 @inlined
 def _finer(course, points):  # type: ignore[no-untyped-def]
-    """The course where each step has so many points: of two the sample is the one that is farther from the light."""
+    """The course for several points in each step: of two, the sample is the one farther from the light."""
     origin = points * course.origin + (points - 1 if course.backward else 0)
     return Course(course.backward, origin, points * course.scale, course.lowest, course.bend)

@@ -1,4 +1,4 @@
-"""The lines along which horizons are swept, and the stacks they carry from band to band (see ``sweep``)."""
+"""The lines along which horizons are swept, and their stacks between bands (see ``sweep``)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from orograph.lighting.sweep_kernels import PAGE, Stacks
 T = TypeVar("T")
 
 _TIE = 1e-6
-"""A line this close (in samples) to a sample goes through it: rounding must not decide which two it lies between."""
+"""A line this close to a sample (in samples) goes through it, so that rounding does not choose its neighbours."""
 
 
 def direction(azimuth: float) -> tuple[float, float]:
@@ -32,7 +32,7 @@ class Lines:
         by_columns: steps are columns and lanes rows, or the other way round.
         backward: the light is at the end of increasing steps.
         scale: steps per metre. points: of a line in a step (``OwnCell``).
-        only: the lines [first, last) that are wanted; None: all.
+        only: the requested lines [first, last); None: all.
     """
 
     only: tuple[int, int] | None = None
@@ -70,7 +70,7 @@ class Lines:
         )  # fmt: skip
 
     def touched(self, step0: int, step1: int) -> tuple[int, int]:
-        """The lines [first, last) that pass between or beside samples at these steps, and the line behind the last."""
+        """The lines [first, last) that pass between or beside samples at these steps, and the line after the last."""
         ends = int(self.shift[step0]), int(self.shift[step1 - 1])
         first, last = -1 - max(ends), self.lanes - min(ends) + 1
         return (first, last) if self.only is None else (max(first, self.only[0]), min(last, self.only[1]))
@@ -88,7 +88,7 @@ class Pool:
         self.release: Callable[[], None] | None = None
 
     def grow(self, pages: int, on_disk: bool) -> None:
-        """Add at least ``pages`` free pages, and half as many as there are."""
+        """Add at least ``pages`` free pages, and at least half of the current number."""
         before = len(self.link)
         after = before + max(pages, before // 2)
         position, height = self.position, self.height
@@ -109,7 +109,7 @@ class Pool:
         self.free = free
 
     def clear(self, lines: int) -> None:
-        """Begin with empty stacks for ``lines`` and one for the line before them."""
+        """Begin with empty stacks for ``lines``, and one for the line before them."""
         self.top = np.full(lines + 1, -1, np.int64)
         self.free[0] = len(self.link)
         self.free[1:] = np.arange(len(self.link) - 1, -1, -1)
@@ -126,7 +126,7 @@ class Pool:
 
 
 def taken(spare: list[T], make: Callable[[], T]) -> T:
-    """One of the spare ones, or a new one; from any thread."""
+    """A spare pool, or a new one; from any thread."""
     try:
         return spare.pop()
     except IndexError:

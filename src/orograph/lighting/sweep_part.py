@@ -1,15 +1,15 @@
-"""Horizons of a part of a raster, to the same bits as of all of it: what a task of a cluster sweeps.
+"""Horizons of a part of a raster, equal to the bit to those of the whole: the work of a task on a cluster.
 
-A part is a rectangle of samples. For one way (axis and sense) its horizons follow from the heights of a window, which
-is wider than the part by as much as lines shift sideways in it, and from what the lines have passed before they come
-to its first step: their hulls. With a radius all of that lies in a longer window, and nothing has to be known besides.
-Without one, parts of the same steps form a row; a row needs the hulls that the row in front of it, towards the light,
-has left at its last step. Each part hands on the hulls of the lines that leave it through its last step: those that lie
-at the lanes of its own samples there.
+A part is a rectangle of samples. For one way (axis and sense), its horizons follow from the heights of a window, which
+is wider than the part by the sideways shift of lines in it, and from the points that lines have passed before its first
+step: their hulls. With a radius, all of this is in a longer window, and nothing else is needed. Without one, parts of
+the same steps form a row; a row needs the hulls that the row in front of it, towards the light, left at its last step.
+Each part passes on the hulls of the lines that leave it through its last step: those at the lanes of its own samples
+there.
 
-Lines, steps and positions are those of the whole raster (``sweep_lines``); within a window lanes, and with them lines,
-are counted from its first lane, which is an even one. Lines that enter a window from aside, not from the raster's
-border, lack what they have passed; they lie beside the part.
+Lines, steps and positions are those of the whole raster (``sweep_lines``); within a window, lanes and thus lines are
+counted from its first lane, which is even. Lines that enter a window from its sides, not from the raster's border, lack
+the points they passed before; they do not cross the part.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Window = tuple[int, int, int, int]
 
 
 class Hulls(NamedTuple):
-    """The stacks of lines that follow one another, from the top (the nearest point) down.
+    """The stacks of consecutive lines, from the top (the nearest point) down.
 
     Attributes:
         first: the first line. counts: (n,) points of each. position: (p,) int32; height: (p,) float64, of all points.
@@ -49,7 +49,7 @@ class Hulls(NamedTuple):
     height: F64
 
     def packed(self, index: int) -> dict[str, NDArray[Any]]:
-        """As arrays, of an azimuth."""
+        """As arrays, for an azimuth."""
         named = {"first": np.array([self.first]), "counts": self.counts.astype(np.int32), "position": self.position}
         return {f"{name}.{index}": values for name, values in {**named, "height": self.height}.items()}
 
@@ -60,7 +60,7 @@ class Hulls(NamedTuple):
 
 
 class Part:
-    """A part of a raster, as one way sees it.
+    """A part of a raster, for one way.
 
     Args:
         way: lines of one axis and sense (``sweep.ways``). shape: (rows, cols) of the raster. terms: of the horizons.
@@ -83,18 +83,18 @@ class Part:
         self.around = max(self.lanes[0] - aside - 4, 0) & ~1, min(self.lanes[1] + aside + 4, lanes)
 
     def before(self, size: int) -> range:
-        """Which parts of the row in front of this one, ``size`` lanes wide each, have hulls of lines that come here."""
+        """The parts of the row in front, ``size`` lanes wide each, that have hulls of lines that come here."""
         return range(self.around[0] // size, (self.around[1] - 1) // size + 1)
 
     def sweep(
         self, read: Read, hulls: Callable[[int], list[Hulls]], add: Callable[[Block], None], jobs: int, memory: int
     ) -> Iterator[tuple[int, Hulls]]:
-        """Sweep it; the hulls that it hands on, by azimuth. Of horizons within a radius there are none.
+        """Sweep it; returns the hulls that it passes on, by azimuth. Horizons within a radius have none.
 
         Args:
             read: heights of a window of the raster.
-            hulls: azimuth → those that parts in front of this one handed on; [] for the first row.
-            add: is given blocks of the part's own samples, counted from its first row and column, from any thread.
+            hulls: azimuth → those from the parts in front of this one; [] for the first row.
+            add: receives blocks of the part's own samples, counted from its first row and column, from any thread.
         """
         first = self.around[0]
         lines = [self._within(a) for a in self.way]
@@ -122,7 +122,7 @@ class Part:
         return part
 
     def _own(self, block: Block, r0: int, r1: int, add: Callable[[Block], None]) -> None:
-        """Hand on what of the rows [r0, r1) of a block belongs to the part."""
+        """Pass on the rows [r0, r1) of a block that belong to the part."""
         begin, end = (at - self.around[0] for at in self.lanes)
         row, col, cols = block.row0 - self.window[0], 0, slice(begin, end)
         if self.by_columns:
@@ -138,7 +138,7 @@ class Part:
                     padded=padded))  # fmt: skip
 
     def _left(self, swept: Pass, a: Lines) -> Hulls:
-        """The hulls of the lines that lie at the part's lanes at its last step, out of the pools of a pass."""
+        """The hulls of the lines at the part's lanes at its last step, from the pools of a pass."""
         shift = int(a.shift[self.steps[0] if self.backward else self.steps[1] - 1])
         first, last = (self.lanes[0] or -1) - shift, self.lanes[1] - shift
         counts = np.zeros(last - first, np.int64)
@@ -161,7 +161,7 @@ class Part:
 
 
 def _seed(swept: Pass, offset: int, hulls: Callable[[int], list[Hulls]]) -> None:
-    """Let the lines of a pass begin with what they have passed.
+    """Initialise the lines of a pass with the points they have passed.
 
     Args:
         offset: the first line that is line 0 of the pass.
@@ -170,7 +170,7 @@ def _seed(swept: Pass, offset: int, hulls: Callable[[int], list[Hulls]]) -> None
         given = [(one, np.concatenate([[0], np.cumsum(one.counts)])) for one in hulls(a.index)]
         first, last = a.touched(*swept.bands[0]) if given else (0, 0)
         for s in range(first // swept.share, -(-last // swept.share)):
-            line0 = s * swept.share + offset - 1  # the line before the share's has a stack, too
+            line0 = s * swept.share + offset - 1  # the line before the share also has a stack
             pool = None
             for one, ends in given:
                 begin, end = max(line0, one.first), min(line0 + swept.share + 1, one.first + len(one.counts))
@@ -190,7 +190,7 @@ def _seed(swept: Pass, offset: int, hulls: Callable[[int], list[Hulls]]) -> None
 
 @kernel
 def count_points(top: I64, link: I64, counts: I64) -> None:
-    """How many points stacks have."""
+    """The numbers of points of stacks."""
     for b in range(len(top)):
         t, count = top[b], 0
         while t >= 0:
@@ -215,7 +215,7 @@ def take_points(top: I64, link: I64, position: I32, height: F64, positions: I32,
 def put_points(
     counts: I64, positions: I32, heights: F64, top: I64, link: I64, position: I32, height: F64, free: I64
 ) -> None:
-    """Push the points of stacks that are empty, as ``take_points`` has them; there are enough free pages."""
+    """Push points onto empty stacks, in the form of ``take_points``; there must be enough free pages."""
     begin = 0
     for b in range(len(counts)):
         t = np.int64(-1)

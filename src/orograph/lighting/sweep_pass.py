@@ -1,8 +1,8 @@
 """One pass of ``sweep`` over a raster: bands for several azimuths that step along one axis in one sense.
 
-A pass says how wide its bands are and how many azimuths share it, so that memory suffices; of a band it fetches the
-heights, and hands out the work that makes the slopes: independent pieces, for threads. Stacks of lines wait in pools
-from band to band.
+A pass determines the width of its bands and the number of azimuths that share it, so that memory suffices. For each
+band it fetches the heights, and hands out the work that makes the slopes: independent pieces, for threads. Stacks of
+lines wait in pools from band to band.
 """
 
 from __future__ import annotations
@@ -35,21 +35,23 @@ Work = Callable[[], object]
 _BAND = 256
 """Steps of a band: the tiles of a store."""
 _NARROW = 64
-"""Steps of a band where memory is short, before fewer azimuths share a pass."""
+"""Steps of a band when memory is short; below this, fewer azimuths share a pass."""
 _CACHE = 16 << 20
-"""Slopes of two bands that are still in the processor's cache, more or less, when they are used."""
+"""Slopes of two bands that fit about into the processor's cache until they are used."""
 _CLASH = 128
-"""Rows that are a multiple of so many samples long share their places in the cache."""
+"""Rows whose length is a multiple of this number of samples share cache sets."""
 
 
 def pitch(cols: int) -> int:
-    """Samples from one row to the next in memory: an odd number of cache lines, so that rows do not share their places
-    in the cache, as they do a power of two apart."""
+    """Samples from one row to the next in memory.
+
+    It is an odd number of cache lines, so that rows do not share cache sets, as they do a power of two apart.
+    """
     return (-(-cols // GROUP) | 1) * GROUP
 
 
 def aligned(samples: int) -> Values:
-    """Room for so many samples (float32) that begins with a cache line."""
+    """Room for so many samples (float32) that begins at a cache line."""
     space = np.empty(samples + GROUP, np.float32)
     begin = -space.ctypes.data % (4 * GROUP) // 4
     return space[begin : begin + samples]
@@ -57,13 +59,13 @@ def aligned(samples: int) -> Values:
 
 @dataclass(frozen=True, slots=True)
 class Strip:
-    """Heights of a band as they are swept.
+    """Heights of a band for sweeping.
 
     Attributes:
         flat: rows one after the other.
         wide: samples from one row to the next.
-        first: the first step they begin with.
-        space: memory that they lie in, to be used again; None: the reader's own.
+        first: their first step.
+        space: their memory, to be reused; None: the reader's own.
     """
 
     flat: Values
@@ -73,7 +75,7 @@ class Strip:
 
 
 class Terms(NamedTuple):
-    """The terms of a horizon, as in ``sweep.horizons``."""
+    """The kind of a horizon, as in ``sweep.horizons``."""
 
     lowest: float = 0.0
     below: bool = False
@@ -82,7 +84,7 @@ class Terms(NamedTuple):
 
 
 class Pass:
-    """A pass over the raster for the first of some azimuths with a common axis and sense, as many as memory allows.
+    """A pass over the raster for as many azimuths of a common axis and sense as memory allows, from the first on.
 
     Args:
         group: lines of the azimuths.
@@ -91,10 +93,10 @@ class Pass:
         span: the steps [first, last) to sweep, whose stacks are left in ``pools``; None: all of them.
 
     Attributes:
-        lines: of the azimuths that take part. indices: which they are.
+        lines: of the azimuths in this pass. indices: of these azimuths.
         bands: (step0, step1), away from the light.
-        ahead: whether there is memory to fetch heights before the band in front of theirs is done.
-        samples: of a buffer that has room for the slopes of a band, padding included.
+        ahead: whether there is memory to fetch heights before the previous band is done.
+        samples: of a buffer for the slopes of a band, including padding.
 
     Raises:
         UsageError: the radius takes more memory than there is.
@@ -116,7 +118,7 @@ class Pass:
         self.lanes, self.steps = group[0].lanes, group[0].steps
         reach = 0 if radius is None else max(max(int(radius * a.scale + 1e-9), 1) for a in group)
         reach = min(reach, self.steps)
-        # A third of the memory for bands' heights and slopes, a third for stacks; the rest is what their user needs.
+        # A third of the memory is for bands' heights and slopes, a third for stacks; the rest is for the caller.
         third, step = memory // 3, 4 * self.pitch(self.lanes)
 
         points = max(a.points for a in group)
@@ -151,7 +153,7 @@ class Pass:
         if self.backward:
             self.bands.reverse()
         self.samples = count * min(width, self.steps) * self.pitch(self.lanes)
-        # Shares of the lines, counted from line 0: small enough for all threads to have some.
+        # Shares of the lines, counted from line 0: small enough that all threads get some.
         share = -(-self.lanes * count // (16 * jobs))
         self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
         self.pools: dict[tuple[int, int], Pool] = {}
@@ -173,7 +175,7 @@ class Pass:
         return (0, self.lanes, s0, s1) if self.by_columns else (s0, s1, 0, self.lanes)
 
     def fetch(self, read: Read, s0: int, s1: int, spaces: list[Values]) -> Strip:
-        """The heights that the slopes of a band are made of; ``spaces`` are buffers of strips before."""
+        """The heights for the slopes of a band; ``spaces`` are buffers of earlier strips."""
         first, last = s0, s1
         if self.radius is not None:
             reaches = [reach_of(a, self.radius, s0, s1) for a in self.lines]
@@ -197,12 +199,14 @@ class Pass:
         flat = space[: rows * wide]
         (np.negative if self.below else np.positive)(heights, out=flat.reshape(rows, wide)[:, :cols])
         flat = flat.view()
-        flat.flags.writeable = False  # as heights that are not copied: kernels are compiled once
+        flat.flags.writeable = False  # read-only, like heights that are not copied, so that kernels are compiled once
         return Strip(flat, wide, first, space)
 
     def work(self, strip: Strip, s0: int, s1: int, slopes: Values) -> tuple[list[Work], list[Work]]:
-        """What makes the slopes (k, rows, ≥ cols) of a band, in any order, in two parts: a part needs what the same one
-        of the band before leaves, and nothing of the other."""
+        """Functions that make the slopes (k, rows, ≥ cols) of a band, in any order, in two parts.
+
+        A part needs the result of the same part of the band before, and nothing of the other.
+        """
         make = self._unlimited if self.radius is None else self._limited
         parts: tuple[list[Work], list[Work]] = [], []
         for a, s, work in make(strip, s0, s1, slopes):
@@ -221,8 +225,8 @@ class Pass:
         work = self._shares(s0, s1, self.lines)
         last = (s0, s1) == self.bands[-1] and not self.hands_on
         keep = {(a.index, s) for a, s in work}
-        for key in list(self.pools):  # others may be adding theirs
-            if key not in keep:  # lines that left the raster
+        for key in list(self.pools):  # other threads may be adding theirs
+            if key not in keep:  # lines that have left the raster
                 del self.pools[key]
         on_disk = sum(p.size for p in list(self.pools.values())) > self.stacks
         place = {a.index: k for k, a in enumerate(self.lines)}
@@ -287,13 +291,13 @@ class Pass:
 
 
 def reach_of(a: Lines, radius: float, s0: int, s1: int) -> tuple[int, int, int]:
-    """A radius in steps, and the steps whose heights slopes of steps [s0, s1) are made of: whole blocks of that many.
+    """A radius in steps, and the steps whose heights determine the slopes of steps [s0, s1): whole blocks of that many.
 
-    Azimuths have steps of different lengths in metres, hence radii of different numbers of steps.
+    Steps of different azimuths have different lengths in metres, so their radii differ in steps.
     """
     reach = min(max(int(radius * a.scale + 1e-9), 1), a.steps)
     first = a.position(s1 - 1 if a.backward else s0)
-    begin = max((first - reach) // reach * reach, 0)  # a whole block in front of what is in reach
+    begin = max((first - reach) // reach * reach, 0)  # a whole block in front of the reach
     return reach, *((s0, a.steps - begin) if a.backward else (begin, s1))
 
 

@@ -19,12 +19,13 @@ I64 = NDArray[np.int64]
 
 
 class Swath(NamedTuple):
-    """A band of steps of the parallel lines of an azimuth, over a raster.
+    """A band of steps of an azimuth's parallel lines, over a raster.
 
     Attributes:
         heights: (samples,) metres. start: the sample in lane 0 at step 0; the step nearer to the light is there, too.
-        lane, step: samples from one lane, and from one step, to the next. lanes: how many there are.
-        shift: (steps,) the lane of line 0 at each step; monotonic. part: (steps,) from there to the next lane, 0 to 1.
+        lane, step: samples from one lane, and from one step, to the next. lanes: their number.
+        shift: (steps,) the lane of line 0 at each step; monotonic. part: (steps,) its fraction to the next lane, 0 to
+            1.
         cell: how samples find the corners of their own cells.
     """
 
@@ -54,7 +55,7 @@ def _gather(swath: Swath, line0: int, lines: int, first: int, last: int, profile
     nan = np.float32(np.nan)
     heights, start, lanes, shift, part = swath.heights, swath.start, swath.lanes, swath.shift, swath.part
     lane_stride, step_stride = swath.lane, swath.step
-    if lane_stride == 1:  # neighbouring lines lie beside each other in memory
+    if lane_stride == 1:  # neighbouring lines are adjacent in memory
         for i in range(first, last):
             lane0, f = line0 + shift[i], part[i]
             base = start + lane0 + i * step_stride
@@ -83,10 +84,10 @@ def _gather(swath: Swath, line0: int, lines: int, first: int, last: int, profile
 
 @kernel
 def _gather_diagonal(swath: Swath, line0: int, lines: int, first: int, last: int, profile: F64) -> None:
-    """As ``_gather``, of lines along cells' diagonals: profile (lines, 2 · steps), samples and what is between them.
+    """Like ``_gather``, for lines along cells' diagonals: profile (lines, 2 · steps), samples and points in between.
 
-    On the side of the light of a sample of odd row + column that is the middle of its cell; of others it is NaN: the
-    surface is straight there.
+    On the light's side of a sample of odd row + column, that is the middle of its cell; for others it is NaN, because
+    the surface is straight there.
     """
     nan = np.float32(np.nan)
     heights, start, lanes, shift, cell = swath.heights, swath.start, swath.lanes, swath.shift, swath.cell

@@ -41,7 +41,7 @@ LATTICE = 2000.0
 
 @dataclass(frozen=True, slots=True)
 class Area:
-    """What a polygon measures.
+    """The measures of a polygon.
 
     Attributes:
         plan: of the polygon on the ellipsoid; plan_grid: on the grid, metres² (without a CRS the same).
@@ -106,7 +106,7 @@ def area(
     samples = [places.samples(ring) for ring in rings]
     _check_crossings(samples)
     signed = [_shoelace(ring) for ring in samples]
-    # The border is positive in sample coordinates, what is cut out of it negative.
+    # The border is positive in sample coordinates, and holes are negative.
     turned = [ring if (a > 0) == (k == 0) else ring[::-1] for k, (ring, a) in enumerate(zip(samples, signed))]
     cells = abs(signed[0]) - sum(abs(a) for a in signed[1:])
     cell = terrain.grid.cell_area

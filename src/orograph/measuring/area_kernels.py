@@ -1,10 +1,10 @@
-"""The loop over a tile's triangles for an area: each clipped by the polygon, its exact part summed.
+"""The loop over a tile's triangles for an area: each is clipped by the polygon, and its exact part summed.
 
 Clipping is Sutherland & Hodgman's (1974, *Reentrant polygon clipping*, CACM 17), with the triangle as the convex window
-and a ring of the polygon as subject: a ring that is not convex leaves edges on the window's border that run there and
-back and enclose nothing, so that the signed area and centroid of what is left are right. To keep rings short they are
-cut to the tile first, then to each row of cells; cells that no edge meets are inside or outside as their middle is.
-Sample coordinates: x columns, y rows.
+and a ring of the polygon as subject: a ring that is not convex leaves edges on the window's border that run back and
+forth and enclose nothing, so that the signed area and centroid of the result are correct. To keep rings short they are
+cut to the tile first, then to each row of cells; cells that no edge touches are inside or outside according to their
+middle. Sample coordinates: x columns, y rows.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ PLAN, MISSING, SURFACE, SURFACE_GRID, HEIGHT, ABOVE, BELOW = range(7)
 """Sums: cells of ground and of holes (areas in samples²), surface in true metres² and in grid metres², and times cells:
 height, height above the level, height below it."""
 ROOM = 32
-"""A cut makes at most 1.5 points of one; at most eight cuts follow each other."""
+"""A cut multiplies points by at most 1.5, and there are at most eight cuts in sequence."""
 
 
 @leaf
@@ -35,7 +35,7 @@ def cut(src, n, a, b, c, out):
         if (d0 > 0.0 and d1 < 0.0) or (d0 < 0.0 and d1 > 0.0):
             f = d0 / (d0 - d1)
             x, y = x0 + f * (x1 - x0), y0 + f * (y1 - y0)
-            if a == 0.0 and abs(b) == 1.0:  # exactly on the border, for what comes after
+            if a == 0.0 and abs(b) == 1.0:  # exactly on the border, for later steps
                 y = -c / b
             elif b == 0.0 and abs(a) == 1.0:
                 x = -c / a
@@ -61,7 +61,7 @@ def moments(poly, n, x0, y0):
 
 @leaf
 def clip_box(ring, n, west, north, east, south, one, two):
-    """A ring cut to a rectangle, in ``two``; returns how many points."""
+    """Cut a ring to a rectangle, in ``two``; returns the number of points."""
     n = cut(ring, n, 1.0, 0.0, -west, one)
     n = cut(one, n, -1.0, 0.0, east, two)
     n = cut(two, n, 0.0, 1.0, -north, one)
@@ -72,7 +72,7 @@ def clip_box(ring, n, west, north, east, south, one, two):
 def clip_ring(ring, west, north, east, south, one, two):
     """Cut a ring (n, 2) to a rectangle; ``one`` and ``two`` (``ROOM`` · n, 2) are room; the ring is in ``two``.
 
-    Returns how many points it has. (A kernel that returned an array could not be interrupted.)
+    Returns the number of its points. (A kernel that returned an array could not be interrupted.)
     """
     return clip_box(ring, len(ring), west, north, east, south, one, two)
 

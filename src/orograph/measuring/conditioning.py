@@ -4,7 +4,7 @@ An unconditional draw u and simple kriging with its own covariance give
 
     u_c(x) = u(x) + c(x)ᵀ C⁻¹ (e − H u − η)
 
-where e are the errors found at the check points (measured minus the terrain's surface there), H takes the errors of
+where e are the errors at the check points (measured minus the terrain's surface there), H takes the errors of
 samples to the surface at those places (linear within triangles), C = H Σ Hᵀ + τ² the covariance of what is found, and η
 normal noise of the check points' own accuracy τ. Mean and covariance of u_c are those of the errors given e (Chilès &
 Delfiner 2012, 7.3), and where τ is 0 each drawn surface passes through the check points. Σ is that of
@@ -61,8 +61,10 @@ class Checks(NamedTuple):
 
 
 def read_checks(source: Any, tau: float, terrain: Terrain) -> Checks:
-    """Check points: an array (n, 3) of easting, northing and height in the terrain's CRS and heights; or a table, a
-    file or a ``Dataset`` of points with measured heights (and their uncertainty, if it has one).
+    """Check points from an array, a table, a file or a ``Dataset``.
+
+    An array is (n, 3): easting, northing and height in the terrain's CRS and heights. The others have points with
+    measured heights, and optionally their uncertainty.
 
     Raises:
         ReadError: none is on ground. UsageError: there are too many, or no heights.
@@ -100,8 +102,8 @@ def _of_points(source: Any, tau: float, terrain: Terrain) -> tuple[Array, Array,
         columns = columns_of_features(read_features(given, terrain.grid)) if features else columns_of(given.source)
         known = [k for k, v in columns[0].items() if k.lower() in CALLED and np.isfinite(v).any()]
         if len(known) != 1:
-            told = " and ".join(known) or "none"
-            raise UsageError(f"It is unclear which column holds their heights; there is {told}.", path=name,
+            listed = " and ".join(known) or "none"
+            raise UsageError(f"It is unclear which column holds their heights; there is {listed}.", path=name,
                              remedy="Name it: variable=NAME.")  # fmt: skip
         given = given.but(variable=known[0])
     points = read_points(given, terrain.grid)

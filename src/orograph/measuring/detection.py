@@ -1,14 +1,14 @@
-"""What of a difference is beyond its uncertainty: the level of detection, and the error of volumes.
+"""The significant part of a difference, given its uncertainty: the level of detection, and the error of volumes.
 
 Two heights with standard deviations σ₁ and σ₂ differ by chance with σ = sqrt(σ₁² + σ₂²). A difference is *significant*
-if it exceeds the level of detection, t σ, t the two-sided quantile of the normal distribution: 1.96 for 95 % (Lane,
-Westaway & Hicks 2003; Wheaton et al. 2010). Volumes are summed over significant samples only.
+if it exceeds the level of detection, t σ, with t the two-sided quantile of the normal distribution: 1.96 for 95 %
+(Lane, Westaway & Hicks 2003; Wheaton et al. 2010). Volumes are summed over significant samples only.
 
 Errors d metres apart are correlated by exp(−3 (d / R)²), as for ``HeightError``. The variance of a volume over cells of
-area a, ΣΣ σᵢ σⱼ ρᵢⱼ aᵢ aⱼ, is taken as c Σ σᵢ² aᵢ with the integral of the correlation over the plane, c = π R² / 3, or
-the area of a cell if that is larger; but at most as (Σ σᵢ aᵢ)², its value if all errors are one (Hugonnet et al. 2022).
-It is exact for independent errors, and otherwise an upper bound where σ varies slowly, since neighbours beyond the
-border count too. A bias of a whole DEM is not in it. Units: metres, metres², metres³.
+area a, ΣΣ σᵢ σⱼ ρᵢⱼ aᵢ aⱼ, is computed as c Σ σᵢ² aᵢ with the integral of the correlation over the plane, c = π R² / 3,
+or the area of a cell if that is larger; but at most as (Σ σᵢ aᵢ)², its value if all errors are equal (Hugonnet et al.
+2022). It is exact for independent errors, and otherwise an upper bound where σ varies slowly, because neighbours beyond
+the border count too. It does not include a bias of a whole DEM. Units: metres, metres², metres³.
 
 S. N. Lane, R. M. Westaway, D. M. Hicks, Estimation of erosion and deposition volumes in a large, gravel-bed, braided
 river using synoptic remote sensing, Earth Surface Processes and Landforms 28(3), 2003, 249–271. J. M. Wheaton et al.,
@@ -37,7 +37,7 @@ Box = tuple[int, int, int, int]
 
 @dataclass(frozen=True, slots=True)
 class Detected:
-    """What of a difference is significant.
+    """The significant part of a difference.
 
     Attributes:
         confidence: 0 to 1. lowest, highest: the level of detection, metres, at the samples compared.
@@ -126,7 +126,7 @@ def check_doubt(sigma: Any, reach: float, confidence: float) -> None:
 
 
 def _number(given: Any) -> Any:
-    """Text that is a number, as the command line gives it, as one."""
+    """Convert text that is a number, as the command line gives it."""
     if isinstance(given, str | os.PathLike):
         try:
             return float(given)  # type: ignore[arg-type]

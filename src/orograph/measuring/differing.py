@@ -32,11 +32,11 @@ from orograph.progress import SILENT, Progress
 BLOCK = 1024
 """Samples along the side of a block."""
 CELLS = 128
-"""Side of a square in which all cells are taken to be as large as the middle one, in samples."""
+"""Side in samples of a square whose cells all count as large as the middle one."""
 NORMAL = 1.4826
 """The standard deviation of a normal distribution over its median absolute deviation."""
 ENDS = (0.01, 0.99)
-"""Quantiles that a colour scale covers at least."""
+"""Quantiles that a colour scale must cover."""
 
 Box = tuple[int, int, int, int]
 Array = NDArray[np.float64]
@@ -155,8 +155,8 @@ def differ(
         (deviation,) = quantiles(boxes, off, away, [0.5], jobs)
         canvas.release()
         task.advance(len(boxes))
-    told = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
-    return values, _statistics(sums, grid, middle, NORMAL * deviation, told, (low, high), doubt)
+    pairs = tuple(sorted(zip(map(float, wanted), rest, strict=True)))
+    return values, _statistics(sums, grid, middle, NORMAL * deviation, pairs, (low, high), doubt)
 
 
 def _sums(grid: Grid, box: Box, first: Floats, second: Floats, made: Floats, doubt: Doubt | None) -> Sums:
@@ -195,8 +195,7 @@ def _squares(values: NDArray[Any]) -> Array:
 
 
 def _cells(grid: Grid, box: Box) -> Array:
-    """Metres² of ground per cell in each of a block's squares; on the map where the projection's scale is not
-    defined."""
+    """Metres² of ground per cell in each of a block's squares; on the map if the projection's scale is undefined."""
     rows, cols = (
         (np.minimum(np.arange(start, stop, CELLS) + CELLS, stop) + np.arange(start, stop, CELLS) - 1) / 2
         for start, stop in ((box[0], box[1]), (box[2], box[3]))
@@ -207,7 +206,7 @@ def _cells(grid: Grid, box: Box) -> Array:
 
 
 def _statistics(
-    sums: Sequence[Sums], grid: Grid, median: float, nmad: float, told: tuple[tuple[float, float], ...],
+    sums: Sequence[Sums], grid: Grid, median: float, nmad: float, quantiles: tuple[tuple[float, float], ...],
     ends: tuple[float, float], doubt: Doubt | None,
 ) -> Statistics:  # fmt: skip
     count = sum(one.known for one in sums)
@@ -219,7 +218,7 @@ def _statistics(
         count, grid.rows * grid.cols - count, mean, median, math.sqrt(square),
         math.sqrt(max(square - mean * mean, 0.0)), nmad,
         min(one.low for one in sums) if count else math.nan, max(one.high for one in sums) if count else math.nan,
-        told, area, gained, lost, gain, loss, product / second if second > 0 else math.nan, ends,
+        quantiles, area, gained, lost, gain, loss, product / second if second > 0 else math.nan, ends,
         None if doubt is None else _detected(sums, doubt),
     )  # fmt: skip
 

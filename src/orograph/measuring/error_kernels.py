@@ -7,7 +7,7 @@ import numpy as np
 from orograph._numba import kernel
 
 REACH = 8
-"""Nodes of the lattice, each way, that make the error of a sample."""
+"""Nodes of the lattice in each direction that contribute to a sample's error."""
 
 
 @kernel

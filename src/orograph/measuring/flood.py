@@ -74,16 +74,16 @@ def flood(
     joined = "" if sources is None else " and connected to a source"
     band = Band(f"{PROBABILITY} of being flooded", "",
                 f"the part of the draws in which the ground is below {level:g} m{joined}")  # fmt: skip
-    told = {"level": f"{level:g} m"}
+    tags = {"level": f"{level:g} m"}
     if sources is None:
         return Probable(
-            "flood", terrain.grid, (band,), error, 0, seed, told, _below(terrain, errors, level, jobs), jobs
+            "flood", terrain.grid, (band,), error, 0, seed, tags, _below(terrain, errors, level, jobs), jobs
         )
     seeds, above = _samples(terrain, sources, level, lonlat)
     exact = errors.largest == 0.0
     if exact:
         draws = 1
-    told["sources"] = "; ".join(f"{e:.10g}, {n:.10g}" for e, n in Places(terrain).points(sources, lonlat=lonlat))
+    tags["sources"] = "; ".join(f"{e:.10g}, {n:.10g}" for e, n in Places(terrain).points(sources, lonlat=lonlat))
 
     def made(progress: Progress) -> Blocks:
         counts = Counts(terrain.grid.shape, max_memory)
@@ -100,7 +100,7 @@ def flood(
             values = np.where(known(row, col, part.shape), part / np.float32(draws), np.nan)
             yield row, col, values.astype(np.float32)[None]
 
-    return Probable("flood", terrain.grid, (band,), error, 0 if exact else draws, seed, told, made, jobs)
+    return Probable("flood", terrain.grid, (band,), error, 0 if exact else draws, seed, tags, made, jobs)
 
 
 def _below(terrain: Terrain, errors: ErrorField, level: float, jobs: int) -> Callable[[Progress], Blocks]:

@@ -28,7 +28,7 @@ DEPTHS = {"Point": 0, "MultiPoint": 1, "LineString": 0, "MultiLineString": 1, "P
 
 
 def is_geometry(given: Any) -> bool:
-    """Whether it is GeoJSON in some form, and not an array of points."""
+    """Whether something is GeoJSON in some form, and not an array of points."""
     return isinstance(given, str | os.PathLike | Mapping) or hasattr(given, "__geo_interface__")
 
 
@@ -36,7 +36,7 @@ def read_geojson(path: Any, kind: str, places: Places) -> list[Array]:
     """The rings of the file's polygon, or its line as a list of one, in the terrain's CRS.
 
     Args:
-        path: of the file, or what else ``geo.geojson.load`` takes.
+        path: of the file, or anything else that ``geo.geojson.load`` takes.
         kind: "Polygon" or "LineString".
 
     Raises:

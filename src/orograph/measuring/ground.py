@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 SAME = 1e-12
 """Crossings of a line nearer to each other than this fraction count as one."""
 ASIDE = 1e-7
-"""How far beside a place on an edge its other triangle is looked for if one is missing, samples."""
+"""Offset in samples from a place on an edge to find its other triangle, if one is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +104,11 @@ def heights(terrain: Terrain, x: Array, y: Array) -> Array:
 
 
 def own_heights(terrain: Terrain, points: Array) -> Array:
-    """Heights (n,) at points (n, 2) = easting, northing from the terrain's original samples, bilinear; NaN where there
-    are none. Without these: from the surface if it was resampled, which is off by what ``height_error`` says, else from
-    the terrain's own samples."""
+    """Heights (n,) at points (n, 2) = easting, northing from the terrain's original samples; NaN where there are none.
+
+    They are bilinear. Without original samples, they come from the surface if it was resampled, with an error of up to
+    ``height_error``, and otherwise from the terrain's own samples.
+    """
     x, y = points[:, 0], points[:, 1]
     if terrain.samples is not None:
         return terrain.samples.heights_at(x, y)
@@ -118,8 +120,7 @@ def own_heights(terrain: Terrain, points: Array) -> Array:
 
 
 def height_error(terrain: Terrain) -> float | None:
-    """Maximum error of ``own_heights`` at the terrain's original samples, metres; None if they are those
-    samples' own."""
+    """Maximum error of ``own_heights`` at the original samples, metres; None if they are those samples' own."""
     lost = terrain.resampled
     return None if lost is None or terrain.samples is not None or np.isnan(lost.largest) else lost.largest
 

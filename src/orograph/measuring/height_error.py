@@ -83,11 +83,11 @@ class HeightError:
     def __post_init__(self) -> None:
         if isinstance(self.sigma, os.PathLike):
             object.__setattr__(self, "sigma", os.fspath(self.sigma))
-        said = {"range of errors": self.range, "horizontal accuracy": self.horizontal,
+        numbers = {"range of errors": self.range, "horizontal accuracy": self.horizontal,
                 "accuracy of check points": self.check_sigma}  # fmt: skip
         if self.is_number:
-            said["standard deviation"] = self.sigma
-        for name, value in said.items():
+            numbers["standard deviation"] = self.sigma
+        for name, value in numbers.items():
             if not (math.isfinite(value) and value >= 0):
                 raise UsageError(f"The {name} must be 0 or more metres, not {value!r}.")
 
@@ -100,12 +100,12 @@ class HeightError:
     def tags(self) -> dict[str, str]:
         """Metadata for a file."""
         sigma = f"{self.sigma:g} m" if self.is_number else str(self.sigma)[:200]
-        told = {"sigma": sigma, "range": f"{self.range:g} m", "horizontal": f"{self.horizontal:g} m"}
+        found = {"sigma": sigma, "range": f"{self.range:g} m", "horizontal": f"{self.horizontal:g} m"}
         if self.checks is not None:
             source = getattr(self.checks, "source", self.checks)
             source = source if isinstance(source, str) else "an array or table"
-            told |= {"check_points": str(source)[:200], "check_sigma": f"{self.check_sigma:g} m"}
-        return told
+            found |= {"check_points": str(source)[:200], "check_sigma": f"{self.check_sigma:g} m"}
+        return found
 
 
 NAMES = {"sigma": "sigma", "range": "range", "horizontal": "horizontal", "check_points": "checks",
@@ -124,11 +124,11 @@ def takes_error(function: Callable[..., T]) -> Callable[..., T]:
 
     @functools.wraps(function)
     def taking(*args: Any, **options: Any) -> T:
-        said = {name: options.pop(name) for name in NAMES if options.get(name) is not None}
-        if said:
+        fields = {name: options.pop(name) for name in NAMES if options.get(name) is not None}
+        if fields:
             if options.get("error") is not None:
-                raise UsageError(f"An error is given, and `{next(iter(said))}`, too.", remedy="Give one of the two.")
-            options["error"] = HeightError(**{NAMES[name]: value for name, value in said.items()})
+                raise UsageError(f"An error is given, and `{next(iter(fields))}`, too.", remedy="Give one of the two.")
+            options["error"] = HeightError(**{NAMES[name]: value for name, value in fields.items()})
         return function(*args, **options)
 
     vars(taking)["__signature__"] = own.replace(parameters=[*kinds, *named, *rest])

@@ -1,10 +1,10 @@
-"""What lies under the cursor: a ray cast against the full-resolution surface, and properties of the ground at a place.
+"""What lies under the cursor: a ray cast at the full-resolution surface, and properties of the ground at a place.
 
-The ray is the one that the picture was drawn with (``View.ray_basis``), in true space whatever the exaggeration. It is
-walked over the terrain's tiles of 256 × 256 cells; a tile whose lowest and highest full-resolution samples are on one
-side of it is skipped without being read, so a pick in a store of any size reads a handful of tiles. In a tile that is
-read, the ray runs through the caster's own traversal (``raycast.traverse``), and remembers which side of the surface it
-is on from tile to tile: the answer is the full-resolution surface's, never a drawn mesh's.
+The ray is the one with which the picture was drawn (``View.ray_basis``), in true space whatever the exaggeration. It is
+followed over the terrain's tiles of 256 × 256 cells; a tile whose lowest and highest full-resolution samples are on one
+side of it is skipped without being read, so a pick in a store of any size reads only a few tiles. Within a tile, the
+ray uses the caster's own traversal (``raycast.traverse``), and tracks its side of the surface from tile to tile: the
+answer is the full-resolution surface's, never a drawn mesh's.
 
 Slope and aspect are those of ``orograph light``: central differences at the samples, linear over the triangle between
 them, converted to true metres (``places``). Units: metres, degrees.
@@ -154,7 +154,7 @@ def place(terrain: Terrain, point: ArrayLike, *, lonlat: bool = False) -> Hit:
 
 
 def save_hits(hits: Sequence[Hit], path: str | os.PathLike[str]) -> None:
-    """Write places with all that is known of them: a table (.csv, unknown values empty) or points (.geojson).
+    """Write places with all their properties: a table (.csv, unknown values empty) or points (.geojson).
 
     Raises:
         UsageError: a .geojson of places without longitude and latitude. OutputError: the file cannot be written.
@@ -290,7 +290,7 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
     lowest, highest = np.minimum(z[:-1], z[1:]), np.maximum(z[:-1], z[1:])
     for k in range(len(middle)):
         bottom, top = float(table.minimum[i[k], j[k]]), float(table.maximum[i[k], j[k]])
-        if math.isnan(top):  # nothing but a hole
+        if math.isnan(top):  # only a hole
             side = 0
             continue
         if lowest[k] > top and side >= 0:
@@ -310,8 +310,7 @@ def cast(terrain: Terrain, origin: Array, direction: Array, near: float = 0.0, f
 
 
 def _clip(start: float, step: float, low: float, high: float, t0: float, t1: float) -> tuple[float, float]:
-    """The part of [t0, t1] on which start + t·step lies in [low, high]; an empty interval such as (1, 0) if there is
-    none."""
+    """The part of [t0, t1] in which start + t·step lies in [low, high]; an empty interval such as (1, 0) if none."""
     if step == 0.0:
         return (t0, t1) if low <= start <= high else (1.0, 0.0)
     first, last = sorted(((low - start) / step, (high - start) / step))

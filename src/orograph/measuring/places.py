@@ -120,8 +120,10 @@ class Places:
         return np.asarray(np.clip(at, 0.0, last))
 
     def _refuse(self, point: Array, at: Array) -> NoReturn:
-        """Raise UsageError that says how far a point (2,), ``at`` in sample coordinates, lies outside, and which point
-        inside is nearest."""
+        """Raise UsageError for a point (2,) outside the terrain, ``at`` in sample coordinates.
+
+        The message says how far outside it is, and which point inside is nearest.
+        """
         rows, cols = self.grid.shape
         last = np.array([cols - 1.0, rows - 1.0])
         off = point - np.stack(self.grid.xy(*np.clip(at, 0.0, last)))
@@ -139,8 +141,7 @@ class Places:
         )
 
     def _remedy(self, point: Array) -> str:
-        """The remedy for a point outside: one that would lie on the terrain in degrees was probably meant in
-        degrees."""
+        """The remedy for a point outside: if it is on the terrain as degrees, it was probably meant in degrees."""
         how = "with `lonlat=True`."
         plain = f"Give easting, northing in the terrain's CRS, or longitude, latitude {how}"
         if self._holds(point):
@@ -164,8 +165,10 @@ class Places:
         return bool((at > -1).all() and (at < [cols, rows]).all())
 
     def _nearest(self, at: Array) -> str:
-        """The point of the surface nearest to a place (2,) in sample coordinates, in both systems; it is moved inwards
-        so that rounding the printed numbers does not leave the surface."""
+        """The point of the surface nearest to a place (2,) in sample coordinates, in both systems.
+
+        It is moved inwards so that the rounded numbers are still on the surface.
+        """
         rows, cols = self.grid.shape
         spacing = np.array(self.grid.spacing)
         digits = 2 + max(0, math.ceil(-math.log10(spacing.min())))

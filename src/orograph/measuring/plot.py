@@ -49,11 +49,11 @@ def save_profile(profile: Profile, path: str | os.PathLike[str]) -> None:
     _ground(axes, profile, scale)
     for k in profile.vertices[1:-1]:
         axes.axvline(profile.distance[k] / scale, color="#777777", linewidth=0.6, linestyle=(0, (4, 3)), zorder=1)
-    told = [f"{_metres(profile.length)} on the ground", f"{_metres(float(profile.distance[-1]))} horizontally",
+    notes = [f"{_metres(profile.length)} on the ground", f"{_metres(float(profile.distance[-1]))} horizontally",
             f"+{profile.climb:,.0f} m  −{profile.descent:,.0f} m"]  # fmt: skip
     if profile.missing:
-        told.append(f"{_metres(profile.missing)} without data")
-    _finish(figure, axes, profile, unit, scale, f"Profile over {profile.places.terrain.name}", told, path)
+        notes.append(f"{_metres(profile.missing)} without data")
+    _finish(figure, axes, profile, unit, scale, f"Profile over {profile.places.terrain.name}", notes, path)
 
 
 def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
@@ -85,10 +85,10 @@ def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
             color=_MARK, fontsize=9, zorder=8, bbox={"boxstyle": "round,pad=0.2", "fc": "white", "ec": "none",
             "alpha": 0.85},
         )  # fmt: skip
-    told = ["visible" if sight.visible else f"not visible: a target needs {sight.needed:,.1f} m",
+    notes = ["visible" if sight.visible else f"not visible: a target needs {sight.needed:,.1f} m",
             f"eye {sight.eye:g} m, target {sight.target:g} m above ground",
             "round body, refraction" if sight.bend else "plane"]  # fmt: skip
-    _finish(figure, axes, profile, unit, scale, f"Line of sight over {profile.places.terrain.name}", told,
+    _finish(figure, axes, profile, unit, scale, f"Line of sight over {profile.places.terrain.name}", notes,
             path)  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def _ground(axes: Any, profile: Profile, scale: float) -> None:
 
 
 def _finish(
-    figure: Any, axes: Any, profile: Profile, unit: str, scale: float, title: str, told: list[str],
+    figure: Any, axes: Any, profile: Profile, unit: str, scale: float, title: str, notes: list[str],
     path: str | os.PathLike[str],
 ) -> None:  # fmt: skip
     axes.set_title(title, loc="left", fontsize=11, pad=19)
@@ -145,8 +145,8 @@ def _finish(
     figure.canvas.draw()
     box, (low, high) = axes.get_window_extent(), axes.get_ylim()
     stretch = (box.height / (high - low)) / (box.width / float(profile.distance[-1]))
-    told.append(f"heights ×{stretch:.3g}")
-    axes.text(0.0, 1.03, "  ·  ".join(told), transform=axes.transAxes, ha="left", va="bottom", fontsize=8,
+    notes.append(f"heights ×{stretch:.3g}")
+    axes.text(0.0, 1.03, "  ·  ".join(notes), transform=axes.transAxes, ha="left", va="bottom", fontsize=8,
               color="#444444")  # fmt: skip
     with Beside(Path(path)) as part:
         figure.savefig(part, format=Path(path).suffix.lower()[1:])

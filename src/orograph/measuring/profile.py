@@ -7,7 +7,7 @@ is straight, so its length is exact. True metres: a step d on the grid at height
     ground = Σ sqrt((1 + h/R)² dᵀ G d + Δh²)   over all pieces;   horizontal = Σ sqrt(dᵀ G d).
 
 Straight is the chord in space between the ends (geocentric), geodesic the shortest path on the ellipsoid from vertex to
-vertex (Karney 2013). Holes are bridged from rim to rim along the line, since otherwise a line over a hole could be
+vertex (Karney 2013). Holes are bridged from rim to rim along the line, because otherwise a line over a hole could be
 shorter than the straight distance; the bridged length is reported. Units: metres, degrees.
 """
 
@@ -143,8 +143,11 @@ class Profile:
 
     @cached_property
     def _extremes(self) -> tuple[float, float] | None:
-        """The lowest and the highest of ``heights``, also between places: along a line bilinear ground is a parabola,
-        which may have its extremum there. For resampled terrain, it is that of the parabola through three places."""
+        """The lowest and the highest of ``heights``, including between places.
+
+        Along a line, bilinear ground is a parabola, which may have its extremum there. For resampled terrain, it is
+        that of the parabola through three places.
+        """
         if np.isnan(self.heights).all():
             return None
         terrain, step = self.places.terrain, np.diff(self.points, axis=0)
@@ -159,8 +162,9 @@ class Profile:
         return float(np.nanmin(found)), float(np.nanmax(found))
 
     def at(self, distance: ArrayLike) -> tuple[Array, Array, Array]:
-        """Points (k, 2), surface heights (k,) and ground (k,) at distances (k,) along the line; exact: the surface is
-        straight between its places.
+        """Points (k, 2), surface heights (k,) and ground (k,) at distances (k,) along the line.
+
+        They are exact: the surface is straight between its places.
 
         Raises:
             UsageError: a distance is not on the line.
@@ -196,8 +200,9 @@ class Profile:
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
 
     def save_geojson(self, path: str | os.PathLike[str]) -> None:
-        """Write the line as GeoJSON: longitude, latitude and surface height at every crossing (no height over holes),
-        and ``to_dict`` as its properties.
+        """Write the line as GeoJSON, with ``to_dict`` as its properties.
+
+        Coordinates are longitude, latitude and surface height at every crossing (no height over holes).
 
         Raises:
             UsageError: the terrain has no CRS. OutputError: the file cannot be written.

@@ -124,7 +124,7 @@ def line_of_sight(
     refraction: float = REFRACTION,
     lonlat: bool = False,
 ) -> Sight:
-    """Whether ``b`` is visible from ``a``, and what is in the way.
+    """Whether ``b`` is visible from ``a``, and what obstructs the line.
 
     Args:
         a, b: easting and northing of the eye and of the target.
@@ -185,7 +185,7 @@ def _least(clearance: Array, known: NDArray[np.bool_], s: Array, bend: float) ->
         part = _enters(float(f0[i]), float(f1[i]), float(curl[i]), float(lowest[i]))
         first = (i, part, min(float(f0[i]), 0.0))
     inner = value.copy()
-    if not len(blocked):  # the ends are the eye and the target: their clearance means nothing
+    if not len(blocked):  # the ends are the eye and the target, whose clearance does not count
         inner[0] = np.inf if lowest[0] == 0.0 else inner[0]
         inner[-1] = np.inf if lowest[-1] == 1.0 else inner[-1]
     if not np.isfinite(inner).any():

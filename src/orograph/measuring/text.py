@@ -12,7 +12,7 @@ from orograph.measuring.sight import Sight
 from orograph.measuring.zones import Zone
 
 Row = tuple[str, str, str]
-"""A name, its value, and what only a wide line has room for."""
+"""A name, its value, and an addition for wide lines."""
 
 
 def metres(value: float | None, digits: int = 2) -> str:

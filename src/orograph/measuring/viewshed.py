@@ -95,10 +95,10 @@ class Viewshed:
 
     def summary(self, progress: Progress | bool | None = None) -> dict[str, float]:
         """How much is visible, without keeping the values (see ``Summary.result``)."""
-        told = Summary(self)
-        for _ in told.over(self.blocks(progress)):
+        counted = Summary(self)
+        for _ in counted.over(self.blocks(progress)):
             pass
-        return told.result()
+        return counted.result()
 
     def to_xarray(self) -> xr.DataArray:
         """``values`` as a DataArray with the dimensions y, x."""
@@ -147,21 +147,21 @@ class Viewshed:
         from orograph.lighting.sweep import curvature_of
         from orograph.measuring.viewshed_polygons import check_polygons, save_polygons
 
-        told = Summary(self)
+        counted = Summary(self)
         if check_polygons(Path(path), self.heights, self.grid.crs):
-            save_polygons(Path(path), self.grid, told.over(self.blocks(progress)))
-            return told.result()
+            save_polygons(Path(path), self.grid, counted.over(self.blocks(progress)))
+            return counted.result()
         tags = {
             "software": "orograph", "measure": "viewshed", "eye": f"{self.point[0]:.10g}, {self.point[1]:.10g}",
             "eye_height": f"{self.eye:g} m", "target_height": f"{self.target:g} m",
             "radius": "unlimited" if self.radius is None else f"{self.radius:g} m",
             "refraction": f"{1 - self.bend / curvature_of(self.grid.crs, 0.0):.3f}" if self.bend else "flat",
         }  # fmt: skip
-        blocks = ((0, row, col, values[None]) for row, col, values in told.over(self.blocks(progress)))
+        blocks = ((0, row, col, values[None]) for row, col, values in counted.over(self.blocks(progress)))
         overviews = "average" if self.heights else "nearest"
         write(path, self.grid, [self.band], blocks, overviews=overviews, tags=tags, jobs=self._scene.jobs,
               progress=reporting(progress))  # fmt: skip
-        return told.result()
+        return counted.result()
 
     def beyond(self, row: int, col: int, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         """Which samples of a block of ``grid`` lie beyond the radius."""
@@ -235,7 +235,7 @@ def viewshed(
     jobs: int | None = None,
     progress: Progress | bool | None = None,
 ) -> Viewshed:
-    """What is visible from a point.
+    """The samples that are visible from a point.
 
     Args:
         point: easting and northing of the eye, anywhere on the terrain.

@@ -4,9 +4,9 @@ Apparent heights (see ``viewshed``) are integers, multiples of a *quantum* of at
 that half the memory of float64 holds them to 8 micrometres; ``MISSING`` stands for none. A node of level
 L ≥ 1 of the pyramid covers 2^L × 2^L cells and holds the highest of their corners.
 
-The walk goes from node to node as ``raycast.traverse`` and ``raycast.skyline`` do: a node whose maximum lies under the
-line of sight is passed whole, a level is climbed at a parent's border, and in cells that stay the ground is compared
-with the line wherever it crosses an edge, which for a triangulated surface is exact.
+The walk goes from node to node as in ``raycast.traverse`` and ``raycast.skyline``: a node whose maximum lies under the
+line of sight is skipped, the walk goes up a level at a parent's border, and in the remaining cells the ground is
+compared with the line wherever it crosses an edge, which is exact for a triangulated surface.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from orograph._numba import inlined, kernel, leaf
 
 MISSING = np.int32(-(2**31))
 FAR = np.int32(-(2**31) + 1)
-"""The lowest apparent height there is: ground far under the horizon is no lower than this."""
+"""The lowest apparent height: ground far below the horizon is clamped to it."""
 
 INF = np.inf
 
@@ -40,7 +40,7 @@ class Pyramid(NamedTuple):
 
 
 class Eye(NamedTuple):
-    """What heights are apparent from.
+    """The eye to which apparent heights refer.
 
     Attributes:
         height: metres. scale: 1 / quantum. bend: per metre. form: (2, 2), the true metres² of a step in samples.
@@ -53,7 +53,7 @@ class Eye(NamedTuple):
 
 
 class Ratio(NamedTuple):
-    """True squared distance by that of the eye's form: on a lattice of (start, step) in x and in y, in samples."""
+    """True squared distance over that of the eye's form, on a lattice of (start, step) in x and in y, in samples."""
 
     values: NDArray[np.float64]
     x: tuple[float, float]
@@ -119,7 +119,7 @@ def next_level(fine, out, row0, row1):
 
 @inlined
 def over(h0, h1, ground, t, last, least, stop):
-    """(h1, last): the end's height, raised (inf with ``stop``) where ``ground`` at t is above the line by ``least``."""
+    """(h1, last): the end's height, raised (inf with ``stop``) if ``ground`` at t is above the line by ``least``."""
     if ground - (h0 + t * (h1 - h0)) > least and t > 1e-12 and t < 1.0 - 1e-12:
         return (INF if stop else h0 + (ground - h0) / t), t
     return h1, last
@@ -127,7 +127,7 @@ def over(h0, h1, ground, t, last, least, stop):
 
 @leaf
 def walk(pyramid, cx, cy, start, end, least, stop):
-    """How high the end of a line must be for the line to clear the ground.
+    """The height that the end of a line needs for the line to clear the ground.
 
     Args:
         pyramid: ``Pyramid``. cx, cy: the first cell of the line.
@@ -135,8 +135,8 @@ def walk(pyramid, cx, cy, start, end, least, stop):
         stop: return inf at the first ground above the line.
 
     Returns:
-        (h1, t): the end's height, raised until no ground stands above the line, and where what raised it last is (−1:
-        nothing did).
+        (h1, t): the end's height, raised until no ground is above the line, and the place of the ground that raised it
+        last (−1: none).
     """
     z, maxima, offset, per_row = pyramid
     (x, y, h0), (x1, y1, h1) = start, end
@@ -244,7 +244,7 @@ def ground_at(z, x, y):
     cx, cy = min(np.int64(x), z.shape[1] - 2), min(np.int64(y), z.shape[0] - 2)
     ia, ib, ic, id_ = z[cy, cx], z[cy, cx + 1], z[cy + 1, cx], z[cy + 1, cx + 1]
     if ia == MISSING or ib == MISSING or ic == MISSING or id_ == MISSING:
-        return -INF  # a guess is not worth more
+        return -INF  # not worth more, because it is only a guess
     a, b, c, d = np.float64(ia), np.float64(ib), np.float64(ic), np.float64(id_)
     u, v = x - cx, y - cy
     if ((cx + cy) & 1) == 0:
@@ -254,22 +254,24 @@ def ground_at(z, x, y):
 
 @kernel
 def look(pyramid, ox, oy, height, stretch, least, stop, window, out):
-    """Look at the samples of a window, [row0, row1) × [col0, col1), from an eye at (ox, oy).
+    """Compute the samples of a window, [row0, row1) × [col0, col1), as seen from an eye at (ox, oy).
 
-    Whether a sample is seen is found from there towards the eye (what hides it is near it as a rule), the height that
-    it needs from the eye outward (beyond a ridge all that it hides is passed). What hid the sample before and the one
-    above probably hides this one too: the ground as far from the eye as that was is looked at first.
+    Whether a sample is visible is found from the sample towards the eye (an obstruction is usually near it); the height
+    that it needs, from the eye outward (everything hidden behind a ridge is skipped). The ground that hid the sample
+    before or the one above probably hides this one too, so the ground at that distance from the eye is tested first.
 
     Args:
         height: of targets above the ground, in quanta.
-        stretch: (rows, cols) of the block: true metres by apparent ones.
+        stretch: (rows, cols) of the block: true metres per apparent metre.
         out: (rows, cols) float32 of the block: with ``stop`` 1 (seen) or 0; without it how many quanta above the ground
             a target must be to be seen; NaN where the ground is missing.
     """
     z = pyramid.z
     row0, row1, col0, col1 = window
     eye = 0.0
-    before = np.full(col1 - col0 + 1, INF)  # how far from the eye what hides the samples above is; shifted by one
+    before = np.full(
+        col1 - col0 + 1, INF
+    )  # distance from the eye of the ground that hides the samples above; shifted by one
     for i in range(row0, row1):
         for j in range(col0, col1):
             k = j - col0 + 1

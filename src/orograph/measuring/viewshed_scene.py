@@ -1,4 +1,4 @@
-"""Apparent heights of what an eye may see, and their pyramid of maxima: what lines of sight of ``viewshed`` run over.
+"""Apparent heights of what an eye may see, and their pyramid of maxima, for the lines of sight of ``viewshed``.
 
 Apparent heights, r and the quadratic form: see ``viewshed``.
 """
@@ -29,9 +29,9 @@ Array = NDArray[np.float64]
 LATTICE = 17
 """Places along each side of the window where distances are geodesic."""
 EXTREMES = 0.01, 100.0
-"""Of r: beyond, a projection is not what it should be used for."""
+"""Limits of r, beyond which a projection is unsuitable."""
 FINEST = 16
-"""Apparent heights are multiples of 2^−16 m, or more where that does not hold their range in 31 bits."""
+"""Apparent heights are multiples of 2^−16 m, or of more if their range would exceed 31 bits."""
 
 
 @dataclass
@@ -80,7 +80,7 @@ def ratios(places: Places, point: Array, x: float, y: float, cols: Array, rows: 
     at = np.stack(places.grid.xy(u, v), axis=-1)
     there, here = places.geodetic(at, strict=False), places.geodetic(point[None])[0]
     _, _, metres = places.geod.inv(np.full(len(u), here[0]), np.full(len(u), here[1]), there[:, 0], there[:, 1])
-    # Too near for a quotient the form is as good; where the projection does not reach there is nothing better.
+    # Very near, the form is accurate enough; where the projection does not reach, there is nothing better.
     form_only = (squared < 1e4) | ~np.isfinite(metres)
     out: Array = np.where(form_only, 1.0, np.where(form_only, 1.0, metres) ** 2 / np.where(form_only, 1.0, squared))
     return np.clip(out.reshape(len(rows), len(cols)), *EXTREMES)

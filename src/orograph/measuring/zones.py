@@ -50,10 +50,10 @@ NAMES = ("name", "label", "title", "id")
 
 @dataclass(frozen=True, slots=True)
 class Zone:
-    """What is in a polygon.
+    """The statistics of a polygon.
 
     Attributes:
-        name: its name in the file, else its number, from 1. properties: what the file says of it.
+        name: its name in the file, else its number, from 1. properties: those of the file.
         area: its areas, and volumes; of several parts the sums. None if it cannot be measured: ``problem`` says why.
         samples: how many of them are in it; known: how many have a height.
         lowest, highest, mean, std: of their heights, metres. None without any.
@@ -130,12 +130,12 @@ class Zones(Sequence[Zone]):
                 table.writeheader()
                 table.writerows(rows)
             else:
-                told: Any = rows
+                document: Any = rows
                 if out.suffix.lower() == ".geojson":
                     pairs = zip(rows, self._geometries)
                     shapes = [{"type": "Feature", "properties": row, "geometry": one} for row, one in pairs]
-                    told = {"type": "FeatureCollection", "features": shapes}
-                json.dump(told, file, allow_nan=False)
+                    document = {"type": "FeatureCollection", "features": shapes}
+                json.dump(document, file, allow_nan=False)
         return out
 
 
@@ -213,12 +213,12 @@ def _shapes(zones: Geometry, places: Places) -> Iterator[Shape]:
         except (KeyError, TypeError, ValueError) as error:
             raise ReadError(f"Polygon {count} has no list of coordinates.", path=called) from error
         parts = [moved(rings, data, places) for rings in plain]
-        told = dict(feature.get("properties") or {}) if feature.get("type") == "Feature" else {}
+        properties = dict(feature.get("properties") or {}) if feature.get("type") == "Feature" else {}
         geometry = own
         if crs_name(data) is not None:
             rings = [[np.asarray(places.lonlat(ring)).tolist() for ring in part] for part in parts]
             geometry = {"type": kind, "coordinates": rings[0] if kind == "Polygon" else rings}
-        yield Shape(_name(told, feature.get("id"), count), told, parts, geometry)
+        yield Shape(_name(properties, feature.get("id"), count), properties, parts, geometry)
     if not count:
         raise ReadError("It holds no polygon.", path=called, remedy="Give GeoJSON with polygons.")
 
@@ -231,8 +231,8 @@ def _drawn(polygon: Any, places: Places, lonlat: bool) -> Shape:
     return Shape("polygon", {}, [rings], {"type": "Polygon", "coordinates": shown})
 
 
-def _name(told: dict[str, Any], number: Any, count: int) -> str:
-    lower = {str(key).lower(): value for key, value in told.items()}
+def _name(properties: dict[str, Any], number: Any, count: int) -> str:
+    lower = {str(key).lower(): value for key, value in properties.items()}
     named = next((lower[name] for name in NAMES if lower.get(name) not in (None, "")), number)
     return str(count if named is None else named)
 

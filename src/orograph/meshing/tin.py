@@ -7,8 +7,8 @@ respected: outlines of holes are edges of the TIN.
 
 The bound applies on the surface or at samples. A TIN's edges cross cells, so on the surface it may be off by more than
 at any sample; therefore the crossings of its edges with grid lines and diagonals of cells are checked as well
-(``triangulation.deviation``). Where a border is too coarse for that, the tile asks for samples of it, and the tiles on
-both sides are made again with them, starting from the vertices that they have. This proceeds in rounds, so the result
+(``triangulation.deviation``). If a border is too coarse for that, the tile requests samples on it, and the tiles on
+both sides are made again with them, starting from their vertices. This proceeds in rounds, so the result
 stays deterministic.
 
 Source: Garland & Heckbert 1995 (*Fast polygonal approximation of terrains and height fields*).
@@ -67,7 +67,7 @@ def tin(
             (``tin_lines``); a line of one place is a point, which becomes a vertex.
         max_memory: bytes; low values reduce the number of tiles in progress. jobs: threads; None: all processors. The
             result depends on neither.
-        side: cells along the side of a tile; another side makes another mesh.
+        side: cells along the side of a tile; the mesh depends on it.
 
     Returns:
         the mesh; all its vertices are samples. Its ``stats``: method, max_error, bound, largest (its error on the
@@ -125,8 +125,7 @@ Trial = tuple[float, float]
 
 
 def guess(coarse: Trial, fine: Trial | None, goal: float) -> float:
-    """The bound to try next: the number of triangles is about a power of the bound; never too close to earlier
-    tries."""
+    """The bound to try next: the number of triangles is about a power of the bound; not too close to earlier tries."""
     if fine is None:
         return max(min(coarse[0] + coarse[1] - goal, coarse[0] - 0.1), math.log(LEAST_ERROR))
     part = (goal - coarse[1]) / (fine[1] - coarse[1])
@@ -134,7 +133,7 @@ def guess(coarse: Trial, fine: Trial | None, goal: float) -> float:
 
 
 def check_bound(bound: str) -> None:
-    """Raise UsageError unless it is one."""
+    """Raise UsageError unless it is a bound."""
     if bound not in ("surface", "samples"):
         raise UsageError(f"`bound` must be surface or samples, not {bound!r}.")
 
@@ -153,14 +152,14 @@ def _tin(
         raise no_surface(terrain)
     keys = list(product(range(-(-(rows - 1) // side)), range(-(-(cols - 1) // side))))
     workers = workers_for(min(side, max(rows, cols)), max_memory, jobs)
-    asked: dict[Key, list[NDArray[np.int64]]] = {}
+    required: dict[Key, list[NDArray[np.int64]]] = {}
     made: dict[Key, Tile] = {}
     edges = lines_of(terrain, lines, side, (max_error, bound == "surface"), workers)
-    share(ends_of(edges, side), side, set(keys), asked)
+    share(ends_of(edges, side), side, set(keys), required)
 
     def make(key: Key) -> Tile:
         heights, inner = read_tile(terrain, key, side)
-        extra = np.concatenate([NONE, *asked.get(key, [])])
+        extra = np.concatenate([NONE, *required.get(key, [])])
         start = made[key].places.astype(np.int64) if key in made else NONE
         return tin_of_tile(heights, inner, max_error, bound == "surface", extra, start, edges.get(key, NO_LINES))
 
@@ -176,7 +175,7 @@ def _tin(
             new = set(ends_of(more, side)) - set(ends_of({key: edges.get(key, NO_LINES) for key in more}, side))
             missed |= {(x, y) for x, y in new if x % side == 0 or y % side == 0}
             edges |= more
-            again = share(sorted(missed), side, set(keys), asked) | set(more)
+            again = share(sorted(missed), side, set(keys), required) | set(more)
     return assemble(terrain, made, side, {"method": "tin", "max_error": max_error, "bound": bound, "side": side})
 
 
@@ -227,7 +226,7 @@ def workers_for(side: int, max_memory: int | None, jobs: int | None) -> int:
 
 
 def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32], Window]:
-    """A tile with one sample around it, NaN beyond the raster, and the tile's place in that."""
+    """A tile with a margin of one sample, NaN beyond the raster, and the tile's place in that."""
     rows, cols = terrain.grid.shape
     row0, col0 = key[0] * side, key[1] * side
     row1, col1 = min(row0 + side, rows - 1), min(col0 + side, cols - 1)
@@ -240,15 +239,15 @@ def read_tile(terrain: Terrain, key: Key, side: int) -> tuple[NDArray[np.float32
 
 
 def share(
-    missed: list[tuple[int, int]], side: int, keys: set[Key], asked: dict[Key, list[NDArray[np.int64]]]
+    missed: list[tuple[int, int]], side: int, keys: set[Key], required: dict[Key, list[NDArray[np.int64]]]
 ) -> set[Key]:
-    """Pass samples that must become vertices to the tiles that share them. Returns these tiles."""
+    """Pass required vertices to the tiles that share them. Returns these tiles."""
     again: set[Key] = set()
     for x, y in missed:
         for key in product({y // side, (y - 1) // side}, {x // side, (x - 1) // side}):
             if key in keys:
                 again.add(key)
-                asked.setdefault(key, []).append(np.array([[x - key[1] * side, y - key[0] * side]]))
+                required.setdefault(key, []).append(np.array([[x - key[1] * side, y - key[0] * side]]))
     return again
 
 

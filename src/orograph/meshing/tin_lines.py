@@ -1,10 +1,10 @@
 """Break lines and points that a TIN must have, as edges between samples that can be edges of it.
 
-Ends are the nearest samples. A line is parted at the borders of tiles, at the nearest sample of the border. In a tile
-an edge is parted at a sample near by as long as it passes over missing ground (what is left of it there goes), is off
-by more than the bound on the surface, or crosses another one; so a line is followed to within about a cell, and all
-that comes of it are edges that lie on ground, keep the bound, and meet at samples only (as in snap rounding: Hobby
-1999, *Practical segment intersection with finite precision output*).
+Ends are the nearest samples. A line is split at the borders of tiles, at the nearest sample of the border. In a tile,
+an edge is split at a nearby sample while it passes over missing ground (its parts there are removed), exceeds the bound
+on the surface, or crosses another edge. So a line is followed to within about a cell, and all the resulting edges lie
+on ground, keep the bound, and meet only at samples (as in snap rounding: Hobby 1999, *Practical segment intersection
+with finite precision output*).
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Edge = tuple[int, int, int, int]
 Key = tuple[int, int]
 
 ROUNDS = 200
-"""How often edges of a tile may be parted where they cross: each time they become shorter."""
+"""How often edges of a tile may be split where they cross; each time they become shorter."""
 
 
 def edges_by_tile(lines: Sequence[NDArray[np.float64]], shape: tuple[int, int], side: int) -> dict[Key, list[Edge]]:
     """The edges of lines by tile (row, column), in the tile's own columns and rows.
 
     Args:
-        lines: (n, 2) columns and rows; a line of one place is a point. What lies beyond the raster is left out.
+        lines: (n, 2) columns and rows; a line of one place is a point. Parts beyond the raster are left out.
         shape: rows, columns of the raster. side: cells along the side of a tile.
 
     Raises:
@@ -55,7 +55,7 @@ def edges_by_tile(lines: Sequence[NDArray[np.float64]], shape: tuple[int, int], 
 
 
 def parted(a: list[float], b: list[float], shape: tuple[int, int], side: int) -> Iterator[Edge]:
-    """A segment on the raster, with its ends on samples, parted at the borders of tiles."""
+    """A segment on the raster, with its ends on samples, split at the borders of tiles."""
     low, high = 0.0, 1.0
     for start, way, last in zip(a, (b[0] - a[0], b[1] - a[1]), (shape[1] - 1, shape[0] - 1)):
         if way == 0:
@@ -82,14 +82,14 @@ def parted(a: list[float], b: list[float], shape: tuple[int, int], side: int) ->
 
 
 def nearest(place: float, size: int) -> int:
-    """The nearest of so many columns, or rows."""
+    """The nearest of so many columns or rows."""
     return min(max(math.floor(place + 0.5), 0), size - 1)
 
 
 def edges_of_tile(
     edges: Sequence[Sequence[int]], heights: NDArray[np.float32], units: NDArray[np.bool_], limit: float, surface: bool
 ) -> NDArray[np.int64]:
-    """Edges and vertices of a tile that its TIN can have, of those it should have.
+    """The required edges and vertices of a tile, as edges that its TIN can have.
 
     Args:
         heights: (rows, cols) float32 of the tile, whose first sample is an (even, even) one. units: (rows − 1,
@@ -117,7 +117,7 @@ def edges_of_tile(
 
 
 def ordered(e: Sequence[int]) -> Edge:
-    """An edge from its lesser end."""
+    """An edge from its lower end."""
     x0, y0, x1, y1 = e
     return (x0, y0, x1, y1) if (x0, y0) <= (x1, y1) else (x1, y1, x0, y0)
 
@@ -125,7 +125,7 @@ def ordered(e: Sequence[int]) -> Edge:
 def on_ground(
     edge: Sequence[int], heights: NDArray[np.float32], units: NDArray[np.bool_], limit: float, surface: bool
 ) -> Iterator[Edge]:
-    """The parts of an edge that lie on ground, parted where they would be off by more than the bound."""
+    """The parts of an edge on ground, split where they would exceed the bound."""
     waiting = [ordered(edge)]
     while waiting:
         x0, y0, x1, y1 = e = waiting.pop()
@@ -149,7 +149,7 @@ def on_ground(
 
 @kernel
 def worst_on(heights, x0, y0, x1, y1, surface):
-    """The largest deviation of an edge, at samples on it or at its crossings, too; and the sample to part it at."""
+    """The largest deviation of an edge, at samples on it or at its crossings; and the sample at which to split it."""
     z0, z1 = np.float64(heights[y0, x0]), np.float64(heights[y1, x1])
     worst, x, y = 0.0, x0, y0
     if surface:
@@ -183,7 +183,7 @@ def touches(units, x, y):
 
 @leaf
 def covered(units, x, y):
-    """Whether a point that is no sample lies on ground, on one side at least where it is on an edge of the surface."""
+    """Whether a point that is not a sample lies on ground; for a point on an edge of the surface, one side suffices."""
     rows, cols = units.shape[0], units.shape[1]
     near = 1e-7
     for j in range(max(int(np.floor(y - near)), 0), min(int(np.floor(y + near)) + 1, rows)):
@@ -197,7 +197,7 @@ def covered(units, x, y):
 
 @kernel
 def passes(units, x0, y0, x1, y1):
-    """Whether an edge lies on ground all the way: so do the middles between its crossings with the surface's edges."""
+    """Whether an edge lies on ground all the way, tested midway between its crossings with the surface's edges."""
     dx, dy = x1 - x0, y1 - y0
     cuts = np.empty(3 * (abs(dx) + abs(dy)) + 4)
     cuts[0], cuts[1] = 0.0, 1.0
@@ -227,7 +227,7 @@ def side(edges, i, x, y):
 
 @leaf
 def inside(edges, i, x, y):
-    """Whether a sample lies on an edge, and is none of its ends."""
+    """Whether a sample lies on an edge, but is not one of its ends."""
     return (
         side(edges, i, x, y) == 0
         and min(edges[i, 0], edges[i, 2]) <= x <= max(edges[i, 0], edges[i, 2])
@@ -239,7 +239,7 @@ def inside(edges, i, x, y):
 
 @kernel
 def crossings(edges):
-    """For each edge a sample to part it at: an end of another on it, or the nearest to a crossing; −1: none."""
+    """For each edge, a sample at which to split it: an end of another on it, or the nearest to a crossing; −1: none."""
     n = len(edges)
     at = np.full((n, 2), -1, np.int64)
     for i in range(n):

@@ -1,12 +1,12 @@
 """The edges that a TIN of a tile must have: the tile's border and the outlines of holes, simplified in one dimension.
 
-Along a border only the samples of the border itself decide, and along an outline only those of the outline, so that
-tiles on both sides come to the same vertices without knowing of each other. An outline is a chain of unit edges with
-ground on one side only (docs/architecture.md, *The surface*); where it turns its samples are vertices, and where it
-runs straight it is a run, like each border between two such samples. A run keeps the fewest samples with which the
+A border's vertices depend only on its own samples, and so do an outline's, so that tiles on both sides find the same
+vertices independently. An outline is a chain of unit edges with ground on one side only (docs/architecture.md, *The
+surface*); its samples are vertices where it turns, and each straight part between is a run, like each border between
+two such samples. A run keeps the fewest samples with which the
 polyline between them is within the bound of all others (Imai & Iri 1988, *Polygonal approximations of a curve*, for
 vertical distances; all shortcuts from a sample are found in one sweep with a cone of slopes). Runs lie along grid lines
-or the surface's diagonals, so that what holds at the samples holds between them.
+or the surface's diagonals, so the bound at the samples also holds between them.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def constraints(
         heights: (rows, cols) float32 of the tile and one sample around it, NaN beyond the raster; its first sample is
             an (even, even) or (odd, odd) one of the raster.
         inner: the tile in ``heights``.
-        limit: metres by which a run may be off.
-        extra: (n, 2) columns and rows in the tile of samples on runs that are to be vertices, too.
+        limit: maximum error of a run, metres.
+        extra: (n, 2) columns and rows in the tile of samples on runs that must also be vertices.
 
     Returns:
         (n, 2) columns and rows of vertices in the tile, and (m, 4): column, row, column, row of the ends of edges.
@@ -106,7 +106,7 @@ def reached(outline: NDArray[np.bool_], kind: int) -> NDArray[np.bool_]:
 
 
 def corners(outline: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples on outlines where these do not just run straight on."""
+    """Samples on outlines where these do not continue straight."""
     starts = outline.sum(-1)
     ends = sum(reached(outline, k).astype(np.int64) for k in range(4))
     straight = np.zeros(outline.shape[:2], bool)
@@ -118,7 +118,7 @@ def corners(outline: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 @kernel
 def runs(heights, must, forced, limit):
-    """Cut the edges that must be there into runs, simplify these, and list what is left: (m, 4) int64."""
+    """Cut the required edges into runs, simplify these, and list the result: (m, 4) int64."""
     rows, cols = heights.shape
     edges = np.empty((16, 4), np.int64)
     count = 0
@@ -158,8 +158,10 @@ def runs(heights, must, forced, limit):
 
 @leaf
 def simplify(line, size, limit, cost, origin):
-    """The fewest samples of a line, from first to last, between which all others are within the limit: following
-    ``origin`` from the last one leads through them."""
+    """The fewest samples of a line, from first to last, between which all others are within the limit.
+
+    To list them, follow ``origin`` from the last one.
+    """
     for i in range(size):
         cost[i] = size
     cost[0] = 0

@@ -1,11 +1,11 @@
-"""Vertices that a TIN can do without: each is taken out where the hole it leaves can be triangulated within the bound.
+"""Removal of unnecessary vertices from a TIN: those whose hole can be triangulated within the bound.
 
 Greedy insertion leaves vertices that later ones made superfluous, and Delaunay triangles that do not follow the ground.
-For a vertex with d neighbours all triangulations of the polygon around it are compared by dynamic programming over its
+For a vertex with d neighbours, all triangulations of the polygon around it are compared by dynamic programming over its
 sides (Klincsek 1980, *Minimal triangulations of polygonal domains*): only triangles and diagonals within the bound
-count, and of those the triangulation with the least sum of squared deviations is taken, a data-dependent one (Dyn,
-Levin & Rippa 1990). Positive triangles on a simple polygon cannot overlap, so only their turn is tested. If there is
-one, the vertex goes, and its neighbours are looked at again.
+count, and the triangulation with the smallest sum of squared deviations is used, a data-dependent one (Dyn, Levin &
+Rippa 1990). Positive triangles on a simple polygon cannot overlap, so only their orientation is tested. If there is
+such a triangulation, the vertex is removed, and its neighbours are tried again.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from orograph.triangulation.mesh import (
 )
 
 MOST = 14
-"""Neighbours of a vertex that may be taken out."""
+"""Maximum neighbours of a vertex that may be removed."""
 
 
 class Polygon(NamedTuple):
-    """The neighbours of a vertex, and what is known of the polygons between each two of them.
+    """The neighbours of a vertex, and tables of the polygons between any two of them.
 
     Attributes:
         ring: (MOST,) int32, vertices in order. outer: (MOST,) int32, the half-edge beyond the side from each to the
             next. fixed: (MOST,) uint8, of that side.
-        cost: (MOST, MOST) float64, least sum of squares between corners i and j; inf: none is within the bound.
+        cost: (MOST, MOST) float64, smallest sum of squares between corners i and j; inf: none is within the bound.
         third: (MOST, MOST) int32, the corner of the triangle on i–j then.
         side: (MOST, MOST) int32, the half-edge from j to i once it is made.
         stack: (2 · MOST,) int32.
@@ -73,7 +73,7 @@ def gather(m, p, v):
 
 @leaf
 def triangulate(m, heights, p, d, limit, surface):
-    """Fill the tables of the polygon of d corners. Returns the least cost; inf: it cannot be within the limit."""
+    """Fill the tables of the polygon of d corners. Returns the lowest cost; inf: it cannot be within the limit."""
     for i in range(d - 1):
         p.cost[i, i + 1] = 0.0
     for length in range(2, d):
@@ -96,7 +96,7 @@ def triangulate(m, heights, p, d, limit, surface):
 
 @leaf
 def replace(m, p, v, d):
-    """Put the best triangulation of the polygon in the place of the triangles around v."""
+    """Replace the triangles around v by the best triangulation of the polygon."""
     h = m.out[v]
     for _ in range(d):
         following = m.twin[before(h)]
@@ -112,8 +112,8 @@ def replace(m, p, v, d):
         k = p.third[i, j]
         t = new_triangle(m)
         put(m, t, p.ring[i], p.ring[k], p.ring[j])
-        # slots are those that became free: they were live
-        # sides i → k, k → j are made later unless they are the polygon's; j → i was made before
+        # the slots are those that became free, which were live
+        # sides i → k, k → j are made later unless they belong to the polygon; j → i was made before
         if i == 0 and j == d - 1:
             join(m, 3 * t + 2, p.outer[d - 1], p.fixed[d - 1])
         else:
@@ -130,21 +130,22 @@ def replace(m, p, v, d):
 
 @leaf
 def join(m, h, g, fixed):
-    """Link two half-edges of an edge that is fixed, or not."""
+    """Link two half-edges of an edge, and mark it fixed or not."""
     link(m, h, g)
     m.fixed[h] = fixed
 
 
 @kernel
 def reduce(m, heights, order, locked, limit, surface):
-    """Take out all vertices that can be spared.
+    """Remove all unnecessary vertices.
 
     Args:
-        m: the triangulation. order: (v,) int32, vertices as they are tried; used up. locked: (v,) uint8, which stay.
+        m: the triangulation. order: (v,) int32, vertices in the order of trying; overwritten. locked: (v,) uint8, which
+            stay.
         limit, surface: as ``refine``.
 
     Returns:
-        how many vertices are gone; ``m.out`` is −1 for them.
+        the number of removed vertices; ``m.out`` is −1 for them.
     """
     p = Polygon(
         np.empty(MOST, np.int32), np.empty(MOST, np.int32), np.empty(MOST, np.uint8), np.empty((MOST, MOST)),

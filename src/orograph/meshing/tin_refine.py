@@ -1,10 +1,10 @@
-"""Greedy insertion: the sample that is farthest from the TIN becomes a vertex, until none is farther than the bound.
+"""Greedy insertion: the sample farthest from the TIN becomes a vertex, until none exceeds the bound.
 
-Each triangle knows its worst sample; a heap of triangles knows the worst of all; after an insertion only the triangles
-around the new vertex are looked at again (Garland & Heckbert 1995, *Fast polygonal approximation of terrains and height
-fields*, §4.3, algorithm III). For a bound on the surface a second run looks at the crossings of edges with the
-surface's edges, too, and inserts the nearer sample of the edge that is crossed at the worst. In a Delaunay
-triangulation an edge of the surface between two vertices is an edge of the TIN, so one of the two samples is free.
+Each triangle knows its worst sample; a heap of triangles gives the worst of all; after an insertion only the triangles
+around the new vertex are assessed again (Garland & Heckbert 1995, *Fast polygonal approximation of terrains and height
+fields*, §4.3, algorithm III). For a bound on the surface, a second run also checks the crossings of edges with the
+surface's edges, and inserts the nearer sample of the edge with the worst crossing. In a Delaunay triangulation an edge
+of the surface between two vertices is an edge of the TIN, so one of the two samples is free.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from orograph.triangulation.mesh import TRIANGLES, after, before, insert, locate
 
 @leaf
 def is_free(m, x, y):
-    """Whether a sample may become a vertex: it is none, and not on the border of the window, which others share."""
+    """Whether a sample may become a vertex: it is not one yet, and not on the window's border, which others share."""
     rows, cols = m.at.shape
     return m.at[y, x] < 0 and 0 < x < cols - 1 and 0 < y < rows - 1
 
 
 @leaf
 def assess(m, heights, q, t, limit, surface):
-    """Find the worst of a triangle, and put it into the heap if that is over the limit."""
+    """Find the worst error of a triangle, and put the triangle into the heap if it exceeds the limit."""
     h = 3 * t
     error, x, y = worst_sample(heights, m, m.corner[h], m.corner[h + 1], m.corner[h + 2])
     if surface:
         for k in range(3):
-            # each edge is looked at from one side, the same whichever slots its triangles have
+            # each edge is checked from one side, which does not depend on the slots of its triangles
             if not m.fixed[h + k] and m.corner[h + k] < m.corner[h + (k + 1) % 3]:
                 off, near_x, near_y, far_x, far_y = worst_crossing(
                     heights, m, m.corner[h + k], m.corner[h + (k + 1) % 3]
@@ -63,7 +63,7 @@ def refine(m, heights, q, limit, surface):
         t = q.heap[0]
         x, y = np.int64(q.x[t]), np.int64(q.y[t])
         if surface:
-            if not is_free(m, x, y):  # a sample beyond the triangle, inserted since
+            if not is_free(m, x, y):  # a sample beyond the triangle that was inserted since
                 assess(m, heights, q, t, limit, surface)
                 continue
             t = locate(m, t, x, y)
@@ -80,12 +80,12 @@ def refine(m, heights, q, limit, surface):
 
 @kernel
 def missed(m, heights, limit):
-    """Why the bound on the surface is not kept where it is not.
+    """The obstacles where the bound on the surface is not kept.
 
     Returns:
-        (n, 2) int64, columns and rows of samples on the border of the window that are to be vertices: ends of an edge
-        of the surface that is crossed over the limit, while its other end is a vertex already. And (k, 4), edges of the
-        surface both of whose ends are vertices: fixed edges that cross them are in their way.
+        (n, 2) int64, columns and rows of samples on the border of the window that must become vertices: ends of an edge
+        of the surface whose crossing exceeds the limit and whose other end is already a vertex. And (k, 4), edges of
+        the surface both of whose ends are vertices, which are blocked by fixed edges that cross them.
     """
     samples = np.empty((2 * (m.at.shape[0] + m.at.shape[1]), 2), np.int64)
     edges = np.empty((16, 4), np.int64)

@@ -1,4 +1,4 @@
-"""The TIN of one tile: its outlines, greedy insertion within them, and the vertices it can do without."""
+"""The TIN of one tile: its outlines, greedy insertion within them, and removal of unnecessary vertices."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ NO_LINES = np.empty((0, 4), np.int64)
 """No edges."""
 
 ROUNDING = 1e-9
-"""Metres by which outlines keep below the bound, so that the planes beside them do not exceed it by rounding."""
+"""Metres by which outlines stay below the bound, so that adjacent planes do not exceed it by rounding."""
 
 LEAST_ERROR = 1e-7
 """Metres: a smaller bound counts as this one."""
 
 BORDER = 0.7
-"""Of a bound on the surface, the part that outlines keep: beside coarser ones it often cannot be kept, and tiles are
-made again."""
+"""The part of a bound on the surface that outlines keep. With coarser outlines it often cannot be kept, and tiles
+are made again."""
 
 
 class Tile(NamedTuple):
@@ -47,10 +47,10 @@ class Tile(NamedTuple):
     Attributes:
         places: (v, 2) int32, columns and rows of its vertices in the tile. heights: (v,) float64, metres.
         triangles: (t, 3) int32, turning positively in (column, row).
-        largest, at_samples: metres by which it is off on the surface, and at samples.
-        missed: (n, 2) int64, columns and rows of samples on the tile's border without which the bound on the surface
-            cannot be kept. blocked: (n, 4) int64, edges (column, row, column, row) without which it cannot, for break
-            lines cross them. If there are any, ``places`` are the vertices it has so far, and the rest is empty.
+        largest, at_samples: its largest error on the surface, and at samples, metres.
+        missed: (n, 2) int64, columns and rows of samples on the tile's border that the bound on the surface requires.
+        blocked: (n, 4) int64, edges (column, row, column, row) that it requires, and that break lines cross. If there
+            are any, ``places`` are the vertices so far, and the rest is empty.
     """
 
     places: NDArray[np.int32]
@@ -71,7 +71,7 @@ def tin_of_tile(
     Args:
         heights, inner, extra: as ``tin_outline.constraints``.
         limit: metres. surface: whether the bound is on the surface, or only at samples.
-        start: (n, 2) columns and rows of vertices to begin with: those of the tile when it was made before.
+        start: (n, 2) columns and rows of vertices to begin with: those from an earlier round.
         lines: (n, 4) column, row, column, row of the ends of more edges that it must have (``tin_lines``); an edge
             without length is a vertex.
     """
@@ -96,9 +96,9 @@ def tin_of_tile(
     refine(m, window, q, limit, False)
     if surface:
         refine(m, window, q, limit, True)
-        asked, blocked = missed(m, window, limit)
-        if len(asked) or len(blocked):
-            return unfinished(compact(m)[0], asked, blocked)
+        lacking, blocked = missed(m, window, limit)
+        if len(lacking) or len(blocked):
+            return unfinished(compact(m)[0], lacking, blocked)
     stay = np.zeros(m.counts[VERTICES], np.uint8)
     stay[:locked] = 1
     order = np.lexsort((m.x[: len(stay)], m.y[: len(stay)])).astype(np.int32)
@@ -114,14 +114,14 @@ def unfinished(places: NDArray[np.int32], *why: NDArray[np.int64]) -> Tile:
 
 
 def in_order(points: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Coarse ones first, so that few triangles are passed and flipped on the way."""
+    """Coarse ones first, so that few triangles are crossed and flipped."""
     both = points[:, 0] | points[:, 1]
     return np.lexsort((points[:, 0], points[:, 1], -(both & -both)))
 
 
 @kernel
 def insert_all(m, window, points):
-    """Insert samples, none of which needs to be new."""
+    """Insert samples, some of which may already be vertices."""
     stack = np.empty(6 * len(points) + 64, np.int32)
     t = 0
     for i in range(len(points)):
@@ -141,7 +141,7 @@ def fix_all(m, edges):
         a = np.int64(m.at[y, x])
         for k in range(1, steps + 1):
             b = np.int64(m.at[y + k * dy // steps, x + k * dx // steps])
-            if b >= 0:  # a vertex on the way parts the edge
+            if b >= 0:  # a vertex on the way splits the edge
                 if not fix_edge(m, a, b):
                     return False
                 a = b
@@ -150,7 +150,10 @@ def fix_all(m, edges):
 
 @kernel
 def find_live(m, units, parity):
-    """Which triangles are on ground that exists, as the unit triangle at their centroid is: none crosses an outline."""
+    """Which triangles are on existing ground.
+
+    The unit triangle at their centroid decides, because no triangle crosses an outline.
+    """
     rows, cols = units.shape[0], units.shape[1]
     for t in range(m.counts[TRIANGLES]):
         a, b, c = m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2]
@@ -163,7 +166,7 @@ def find_live(m, units, parity):
 
 @kernel
 def compact(m):
-    """The vertices of live triangles, and these, renumbered."""
+    """The vertices of live triangles, and these triangles, renumbered."""
     size, count = 0, 0
     number = np.full(m.counts[VERTICES], -1, np.int32)
     for t in range(m.counts[TRIANGLES]):

@@ -1,2 +1,4 @@
-"""The description of what is drawn, without any drawing: ``scene``, ``camera``, ``contours``, ``silhouettes``,
-``diagnostics``."""
+"""The description of what is drawn, without any drawing.
+
+See ``scene``, ``camera``, ``contours``, ``silhouettes``, ``diagnostics``.
+"""

@@ -1,4 +1,4 @@
-"""Options of orientation aids, which show where floating things are and how the view is turned.
+"""Options of orientation aids, which show where floating objects are and how the view is turned.
 
 Tory, Kirkpatrick, Atkins & Möller 2006 find that people judge positions in a 3D view well only with cues beside it;
 these are cues within the picture. Units: true metres of height and of the ground.
@@ -30,13 +30,14 @@ APART = 110.0
 @named("orograph.Aids")
 @dataclass(frozen=True, slots=True)
 class Aids:
-    """Which orientation aids are drawn.
+    """The orientation aids to draw.
 
     Attributes:
-        drops: lines from what floats straight down to the ground. shadows: on the ground, straight below what floats.
-        poles: ranging rods from the ground to what floats, with alternating dark and orange bands of this many metres,
-            counted from the ground; every fifth boundary has a plate. grid: lines of easting and northing laid on the
-            ground, this many metres apart, with their values at the border. "auto": a round number; None: not drawn.
+        drops: lines from floating objects straight down to the ground. shadows: on the ground, straight below them.
+        poles: ranging rods from the ground to floating objects, with alternating dark and orange bands of this many
+            metres, counted from the ground; every fifth boundary has a plate. grid: lines of easting and northing laid
+            on the ground, this many metres apart, with their values at the border. "auto": a round number; None: not
+            drawn.
         walls: sections through the terrain's middle on walls around it, with its profile and the data's colours.
         icon: a cube in the furniture of a perspective that shows how the view is turned.
 
@@ -80,7 +81,7 @@ class Aids:
 
     @property
     def standing(self) -> bool:
-        """Whether there are aids for what floats."""
+        """Whether there are aids for floating objects."""
         return self.drops or self.shadows or self.poles is not None
 
 
@@ -92,7 +93,7 @@ def interval_of(aids: Aids | None, view: View) -> float | None:
 
 
 def aids_of(value: Any) -> Aids | None:
-    """Aids as users give them: an ``Aids``, a text (``Aids.parse``), False or None.
+    """Aids in any form that users give: an ``Aids``, a text (``Aids.parse``), False or None.
 
     Raises:
         TypeError, ValueError: it is none of these.

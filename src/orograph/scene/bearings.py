@@ -1,4 +1,4 @@
-"""Directions on the ground as people give them: degrees clockwise from north, or points of the compass.
+"""Directions on the ground in users' forms: degrees clockwise from north, or points of the compass.
 
 Loads quickly, for the command line.
 """

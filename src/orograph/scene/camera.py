@@ -177,8 +177,7 @@ def _skyward(forward: Array, heading: float) -> Array:
 
 
 def _centred(across: Array, depth: Array, low: float, high: float, aside: float) -> float:
-    """The eye position between ``low`` and ``high`` from which the largest and the least tangent of points sum to
-    ``aside``.
+    """The eye position between ``low`` and ``high`` at which the points' largest and smallest tangent sum to ``aside``.
 
     Args:
         across, depth: (n,) distances of the points from the axis and from the eye, metres; the tangents are (across -

@@ -13,11 +13,11 @@ HOW = "detail is fractal, or exemplar=FILE[,seed=N]"
 
 @dataclass(frozen=True, slots=True)
 class Detail:
-    """What is drawn between the samples of a terrain (``orograph.synthesis``).
+    """The detail to draw between the samples of a terrain (``orograph.synthesis``).
 
     Attributes:
         exemplar: fine terrain to take the detail from, whatever ``orograph.terrain`` takes; None: fractal noise, as
-            rough as the data. seed: each number gives other detail.
+            rough as the data. seed: each number gives different detail.
     """
 
     exemplar: Any = None
@@ -52,7 +52,7 @@ class Detail:
 
 
 def detail_of(value: Any) -> Detail | None:
-    """Detail as users give it: a ``Detail``, a text (``Detail.parse``), True for fractal detail, False or None.
+    """Detail in any form that users give: a ``Detail``, a text (``Detail.parse``), True (fractal), False or None.
 
     Raises:
         UsageError: it is none of these.

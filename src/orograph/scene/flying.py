@@ -123,8 +123,10 @@ class Flown(Weight):
         return self.flight.shares(self.height(eye), None) if self.filmed is None else self.filmed
 
     def height(self, eye: Array) -> float:
-        """Metres of the eye above the ground under it; outside the terrain above its border, over holes above its
-        middle."""
+        """Height of the eye above the ground under it, metres.
+
+        Outside the terrain it is above the border, over holes above the terrain's middle.
+        """
         rows, cols = self.terrain.grid.shape
         col, row = self.terrain.grid.index(eye[0], eye[1])
         x, y = np.clip(col, 0, cols - 1).reshape(1), np.clip(row, 0, rows - 1).reshape(1)

@@ -42,7 +42,7 @@ class Ghost:
             terrain's samples.
         color: a name or #rrggbb. opacity: in front of the ground, 0 to 1; hidden: behind it. name: in the legend; None:
             the file's.
-        band, vertical_unit: as of ``orograph.terrain``.
+        band, vertical_unit: as for ``orograph.terrain``.
 
     Raises:
         UsageError: a value makes no sense.
@@ -69,9 +69,9 @@ class Ghost:
         Raises:
             UsageError: a key is unknown or its value makes no sense.
         """
-        source, told = keyed(text)
-        made: dict[str, Any] = dict(told)
-        for key, value in told.items():
+        source, keys = keyed(text)
+        made: dict[str, Any] = dict(keys)
+        for key, value in keys.items():
             if key not in KEYS:
                 raise UsageError(f"A ghost has no key {key!r}.", path=source, remedy=f"The keys are {', '.join(KEYS)}.")
             if key in ("opacity", "hidden", "band"):
@@ -87,17 +87,17 @@ class Ghost:
         Raises:
             ReadError, UsageError: it cannot be read, lies elsewhere, or in another CRS.
         """
-        grid, said = terrain.grid, {"band": self.band, "vertical_unit": self.vertical_unit}
-        told: dict[str, Any] = {name: value for name, value in said.items() if value is not None}
+        grid, given = terrain.grid, {"band": self.band, "vertical_unit": self.vertical_unit}
+        options: dict[str, Any] = {name: value for name, value in given.items() if value is not None}
         if grid.crs is not None:
-            told["crs"] = grid.crs.to_wkt()
+            options["crs"] = grid.crs.to_wkt()
         if isinstance(self.source, np.ndarray):
             if self.source.shape != grid.shape:
                 raise UsageError(
                     f"A ghost must have the terrain's {grid.rows} × {grid.cols} samples, not {self.source.shape}."
                 )
-            told |= {"transform": grid.transform, "name": self.name or "surface"}
-        found = self.source if isinstance(self.source, Terrain) else opened(self.source, False, **told)
+            options |= {"transform": grid.transform, "name": self.name or "surface"}
+        found = self.source if isinstance(self.source, Terrain) else opened(self.source, False, **options)
         if found.grid.crs != grid.crs:
             raise UsageError(
                 f"{found.name} is in a different CRS from the terrain.", remedy="Open it in the terrain's CRS (`crs`)."

@@ -1,10 +1,9 @@
-"""Convert what users give for a scene's options: texts of the command line, and what Python takes besides an option's
-own type.
+"""Convert what users give for a scene's options: texts of the command line, and Python values of various types.
 
-A text is read before there is a terrain (``read`` of ``lod.options.option``; ValueError says what is wrong with the
-text, other errors what is wrong with a file that it names). Its meaning may depend on the terrain (``given``): the sun
-at a moment, a place by longitude and latitude. Values of an option's own type stay as they are. Units: degrees, metres;
-colours are sRGB from 0 to 1.
+A text is read before there is a terrain (``read`` of ``lod.options.option``; a ValueError explains a fault of the text,
+other errors that of a file it names). Its meaning may depend on the terrain (``given``): the sun at a moment, a place
+by longitude and latitude. Values of an option's own type stay as they are. Units: degrees, metres; colours are sRGB
+from 0 to 1.
 """
 
 from __future__ import annotations
@@ -91,7 +90,7 @@ def read_sun(text: str) -> Placed | Moment:
 
 
 def read_suns(text: str) -> Placed | Moment | Passage:
-    """What ``read_sun`` reads, or a passage A..B."""
+    """Read a sun as ``read_sun`` does, or a passage A..B."""
     from orograph.lighting.sun import passage
 
     try:

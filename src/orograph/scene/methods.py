@@ -1,4 +1,4 @@
-"""Methods for scenes: choose the method that makes the mesh of a picture, and create it with all that it uses.
+"""Methods for scenes: choose the method that makes the mesh of a picture, and create it with all that it needs.
 
 Each backend can draw the terrain by itself: the CPU by rays, the GPU by patches that it streams (``registry.AUTO``). A
 scene with that method has no mesh; the selection of any other method is drawn as triangles, or on the GPU as rays if it
@@ -23,7 +23,7 @@ MEMORY = 1 << 30
 """Bytes of tiles that a method may hold if no limit is given."""
 
 ALWAYS = ("cull", "geomorph")
-"""Options of patches that the GPU does not set: it culls, and lets vertices grow."""
+"""Options of patches that are fixed on the GPU: it culls, and lets vertices grow."""
 
 
 def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> Choice | None:

@@ -48,7 +48,7 @@ SHINING = ("aperture", "raytraced")
 """Lights that take lamps and further discs."""
 
 CALLED = "`{0.name}`"
-"""How error messages call an option."""
+"""Names of options in error messages."""
 
 
 STEEPEST = 1e9
@@ -182,7 +182,7 @@ class Theme:
     """Data on the ground, their uncertainty, and the priorities of terrain, data and uncertainty.
 
     Attributes:
-        things: the data that stand on the ground, in a scene that is drawn.
+        things: the data that stand on the ground, in a scene ready to draw.
     """
 
     data: tuple[Dataset, ...] = option(
@@ -366,7 +366,7 @@ def by_part(options: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def made_of(name: str, value: Any, terrain: Terrain) -> Any:
-    """Convert what a user gave for an option, a text of the command line or a value, to its value over a terrain.
+    """Convert a given option, a text of the command line or a value, to its value over a terrain.
 
     Raises:
         UsageError: it cannot be a value of that option.
@@ -385,7 +385,7 @@ def made_of(name: str, value: Any, terrain: Terrain) -> Any:
 def check_options(options: Mapping[str, Any]) -> None:
     """Raise UsageError if options contradict each other or a number is out of range, before there is a terrain.
 
-    Values may be as users give them: mostly it matters which are given.
+    Values may be as users give them: mostly only their presence matters.
     """
     for part, values in by_part(options).items():
         PARTS[part](**{name: OPTIONS[name].worded(value) for name, value in values.items()})

@@ -1,4 +1,4 @@
-"""What is drawn: terrain, camera, and the scene's parts; the same description for every backend."""
+"""The description of a picture: terrain, camera, and the scene's parts; the same for every backend."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OF_GHOSTS = ("sun", "relief", "exaggeration", "sky", "depths", "furniture", "tit
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """A scene that is shown in place of another, where, and what its legend adds."""
+    """A scene shown in place of another, where it is shown, and its additional legend."""
 
     scene: Scene
     weight: Weight
@@ -68,7 +68,7 @@ class Scene:
     """The description of a picture.
 
     Attributes:
-        terrain, view: what is drawn, and from where.
+        terrain, view: the ground and the camera.
         surface, lighting, annotations, data, theme, budget: see ``scene.parts``.
         variants: scenes shown in place of this one, each with its weight at a pixel, later ones over earlier ones.
 
@@ -168,11 +168,13 @@ class Scene:
     def summary(self) -> dict[str, Any]:
         """A short description of the picture: its options, view and terrain, for JSON with ``default=str``."""
         left_out = ("sun", "jobs", "max_memory", "mesh_view")
-        said = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
-        said["layers"] = [layer for layer in said["layers"] if layer.key is None]  # (data are described separately)
+        options = {name: getattr(getattr(self, part), name) for name, part in HOMES.items() if name not in left_out}
+        options["layers"] = [
+            layer for layer in options["layers"] if layer.key is None
+        ]  # (data are described separately)
         sun, mesh_view, grid = self.lighting.sun, self.surface.mesh_view, self.terrain.grid
         return {
-            "scene": said, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
+            "scene": options, "sun": [sun.azimuth, sun.altitude, sun.diameter], "view": self.view.to_dict(),
             "terrain": [self.terrain.name, grid.shape, list(grid.transform)[:6], self.terrain.height_range],
             "mesh_view": None if mesh_view is None else mesh_view.to_dict(),
         }  # fmt: skip
@@ -184,8 +186,7 @@ class Scene:
 
     @property
     def keys(self) -> tuple[Legend, ...]:
-        """The meaning of the data's colours and signs: first of standing things, then of painted data, the uppermost
-        first."""
+        """The meaning of the data's colours and signs: first standing objects, then painted data, uppermost first."""
         things = self.theme.things
         painted = [layer.key for layer in reversed(drawn(self.data.layers)) if layer.key is not None]
         own = (*((things.legend,) if things is not None else ()), *painted)

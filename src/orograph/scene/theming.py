@@ -1,4 +1,4 @@
-"""Turn a theme into what every backend draws: data into painted layers, priorities into light, lines and tint.
+"""Turn a theme into parts that every backend draws: data into painted layers, priorities into light, lines and tint.
 
 A priority sets only those of the scene's options that are not given.
 """
@@ -41,8 +41,8 @@ class Themed:
     """A theme turned into options.
 
     Attributes:
-        options: the scene's, its data as layers. things: what stands on its ground, or None. painted: what its data
-            layers show, bottom to top.
+        options: the scene's, with its data as layers. things: standing on its ground, or None. painted: the content of
+            its data layers, bottom to top.
     """
 
     options: dict[str, Any]
@@ -92,7 +92,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
     found = [read(one) for one in pairs(inside)]
     standing = [_named(one, data) for one, data in zip(found, pairs(inside)) if isinstance(one, Things)]
     flat = [one for one in found if not isinstance(one, Things)]
-    covered = any(not one.cased for one in flat)  # lines leave the ground its colours
+    covered = any(not one.cased for one in flat)  # lines keep the colours of the ground
     usual = ({} if priority.terrain else _lines()) | (_ground() if covered or not priority.terrain else {})
     made = usual | {k: v for k, v in made.items() if k not in usual or not _usual(k, v)}
     if flat:
@@ -111,7 +111,7 @@ def themed(options: Mapping[str, Any], terrain: Terrain, size: tuple[int, int]) 
 
 
 def _named(things: Things, dataset: Dataset | tuple[Dataset, Dataset]) -> Things:
-    """Wrap things so that they know what their values mean."""
+    """Wrap things with the meaning of their values."""
     from orograph.geovis.data.standing import Variable
 
     key = things.legend
@@ -205,8 +205,10 @@ def _tracks(dataset: Dataset, terrain: Terrain, stretch: float) -> Things | None
 
 
 def _heights(terrain: Terrain, over: Grid) -> Any:
-    """Heights (rows, cols) at the samples of a grid over a terrain, from the coarsest level that is fine enough; NaN
-    where there are none."""
+    """Heights (rows, cols) at the samples of a grid over a terrain; NaN where there are none.
+
+    They come from the coarsest level that is fine enough.
+    """
     from orograph.geovis.data.sampling import bilinear
 
     coarser, level = max(over.spacing) / max(terrain.grid.spacing), 0
@@ -241,8 +243,10 @@ def _aided(things: Things, aids: Aids, terrain: Terrain) -> Things:
 def _walls(
     terrain: Terrain, painted: Sequence[Shown], volume: Dataset | None, priority: Priority, stretch: float = 1.0
 ) -> Things:
-    """Sections on walls around a terrain, in the colours of the uppermost painted data that are numbers everywhere,
-    and with a volume's values."""
+    """Sections on walls around a terrain, with a volume's values.
+
+    They have the colours of the uppermost painted data that are numbers everywhere.
+    """
     from orograph.geovis.data import standing_walls as made
     from orograph.geovis.data.sampling import values_at
     from orograph.geovis.data.standing_sections import Filling, middle_lines

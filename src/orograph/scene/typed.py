@@ -1,6 +1,6 @@
 """The options of a scene (``parts.OPTIONS``) as type checkers and editors know them; a test compares the names.
 
-What takes several forms (objects, tuples, the command line's texts) is ``Any`` here; ``parts`` checks it.
+Options with several forms (objects, tuples, the command line's texts) are ``Any`` here; ``parts`` checks them.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from orograph.store.typed import Reading
 
 
 class SceneOptions(Reading, total=False):
-    """What is drawn and how (``orograph.render``), and how the terrain is read."""
+    """The scene's options (``orograph.render``), and how the terrain is read."""
 
     sun: Any
     light: Light

@@ -39,7 +39,7 @@ ELSEWHERE = {
     **dict.fromkeys(("contour", "isolines"), "contours"),
     **dict.fromkeys(("subtract", "diff", "dod", "change"), "difference"),
 }  # fmt: skip
-"""Names of functions in other tools, and here."""
+"""Names of functions in other tools, and their equivalents here."""
 
 MEANT = {
     **dict.fromkeys(("legend", "scale_bar", "scalebar", "north_arrow", "colorbar", "attribution"), "furniture"),
@@ -56,7 +56,7 @@ MEANT = {
     **dict.fromkeys(("cellsize", "cell_size", "pixel_size"), "spacing"), **dict.fromkeys(("points", "markers"), "data"),
     "camera": "view",
 }  # fmt: skip
-"""Names of options in other tools, and here."""
+"""Names of options in other tools, and their equivalents here."""
 
 Call = Callable[[str], str]
 """The display name of an argument, by its Python name."""

@@ -221,10 +221,10 @@ class ShardedArray:
     def _decode(self, i: int, j: int, data: bytes | None, check: int, above: Window | None) -> Array:
         if data is None:
             return self.blank
-        said = int.from_bytes(data[-4:], "little")
-        if len(data) < 4 or crc32c(data[:-4]) != said:
+        expected = int.from_bytes(data[-4:], "little")
+        if len(data) < 4 or crc32c(data[:-4]) != expected:
             raise self._damaged(i, j, "it fails its checksum")
-        if said != check:
+        if expected != check:
             raise self._damaged(i, j, "it belongs to another shard")
         try:
             if above is None:

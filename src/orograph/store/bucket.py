@@ -70,7 +70,7 @@ class Version(NamedTuple):
 
     def mode(self) -> dict[str, str]:
         """Return the known fields in obstore's form."""
-        return {name: said for name, said in self._asdict().items() if said is not None}
+        return {name: value for name, value in self._asdict().items() if value is not None}
 
 
 class Seen(NamedTuple):
@@ -166,8 +166,10 @@ class BucketStorage(Storage):
         return f"{self.prefix}/{key}".strip("/")
 
     def _know(self, key: str, data: bytes) -> None:
-        """Data kept until the store is complete lies under the digest of its plan, so leftovers of an earlier build
-        that a stale listing hides are not mistaken for this build's."""
+        """Derive the scope from a plan, under whose digest the results of an unfinished build lie.
+
+        So leftovers of an earlier build that a stale listing hides are not mistaken for this build's.
+        """
         if key in (PLAN, UPDATE):
             self.scope = scope_of(data)
 
@@ -256,8 +258,9 @@ class BucketStorage(Storage):
         self.elsewhere.pop(key, None)
 
     def swap(self, key: str, data: bytes, version: Version | None) -> Version | None:
-        """Put an object where there is none (``version`` is None), or replace this version of it; return None if
-        another version is there by now.
+        """Put an object where there is none (``version`` is None), or replace this version of it.
+
+        Returns None if another version is there by now.
 
         Raises:
             StoreError: it cannot be written, or the server has no conditional puts.

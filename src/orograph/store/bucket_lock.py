@@ -76,7 +76,7 @@ class Lease:
         Raises:
             StoreError: another process is at work, or the storage has no conditional writes.
         """
-        said: dict[str, Any] = {}
+        content: dict[str, Any] = {}
         for _ in range(TRIES):
             began = time.monotonic()
             seen = self.place.look(self.key)
@@ -85,20 +85,20 @@ class Lease:
                     self._must_be_kept()
                     break
                 continue
-            said = _read(seen)
-            if said.get("leaving"):
+            content = _read(seen)
+            if content.get("leaving"):
                 time.sleep(PAUSE)
-            if self.shared is not None and said.get("shared") == self.shared and not said.get("leaving"):
-                others = [each for each in _holders(said) if not _ended(each)]
+            if self.shared is not None and content.get("shared") == self.shared and not content.get("leaving"):
+                others = [each for each in _holders(content) if not _ended(each)]
                 if self._put([*others, self._me], seen.version, began):
                     break
-            elif self._stale(seen, said):
+            elif self._stale(seen, content):
                 if self._put([self._me], seen.version, time.monotonic()):
                     break
-            elif not said.get("leaving"):
-                raise self._busy(seen, said)
+            elif not content.get("leaving"):
+                raise self._busy(seen, content)
         else:
-            raise self._busy(None, said)
+            raise self._busy(None, content)
         self._thread.start()
 
     def release(self) -> None:
@@ -136,11 +136,11 @@ class Lease:
     def _put(self, holders: list[dict[str, Any]], version: Version | None, began: float, leaving: bool = False) -> bool:
         """Write the lock; return whether it was unchanged until then."""
         self._beats += 1
-        said = {
+        content = {
             "doing": self.doing, "shared": self.shared, "lease": LEASE, "beat": f"{self.token} {self._beats}",
             "leaving": leaving, "holders": holders,
         }  # fmt: skip
-        made = self.place.swap(self.key, json.dumps(said).encode(), version)
+        made = self.place.swap(self.key, json.dumps(content).encode(), version)
         if made is None:
             return False
         self._version, self._renewed = made, began
@@ -155,23 +155,23 @@ class Lease:
                 remedy="Build in a folder, and copy the store there with orograph publish.",
             )  # fmt: skip
 
-    def _stale(self, seen: Seen, said: dict[str, Any]) -> bool:
+    def _stale(self, seen: Seen, content: dict[str, Any]) -> bool:
         """Return whether nobody holds the lock any more."""
-        holders = _holders(said)
+        holders = _holders(content)
         if holders and all(_ended(each) for each in holders):
             return True
-        if (datetime.now(UTC) - seen.written).total_seconds() < _lease(said):
+        if (datetime.now(UTC) - seen.written).total_seconds() < _lease(content):
             return False
-        end = time.monotonic() + _lease(said) / 2
+        end = time.monotonic() + _lease(content) / 2
         while time.monotonic() < end:
-            time.sleep(min(1.0, _lease(said) / 20))
+            time.sleep(min(1.0, _lease(content) / 20))
             now = self.place.look(self.key)
             if now is None or now.version != seen.version:
                 return False
         return True
 
-    def _busy(self, seen: Seen | None, said: dict[str, Any]) -> StoreError:
-        holders = _holders(said)
+    def _busy(self, seen: Seen | None, content: dict[str, Any]) -> StoreError:
+        holders = _holders(content)
         who = ""
         if holders:
             first, more = holders[0], len(holders) - 1
@@ -183,31 +183,31 @@ class Lease:
             heard = f" Its last heartbeat was {age} s ago."
         why = (
             " Its plan is different."
-            if self.shared is not None and said.get("shared") not in (None, self.shared)
+            if self.shared is not None and content.get("shared") not in (None, self.shared)
             else ""
         )
         return StoreError(
-            f"Another process is {said.get('doing', 'at work on this store')}{who}.{why}{heard}", path=self.url,
-            remedy=f"Wait until it is done; if it has ended, its lock expires {1.5 * _lease(said):g} s after its "
+            f"Another process is {content.get('doing', 'at work on this store')}{who}.{why}{heard}", path=self.url,
+            remedy=f"Wait until it is done; if it has ended, its lock expires {1.5 * _lease(content):g} s after its "
             "last heartbeat.",
         )  # fmt: skip
 
 
 def _read(seen: Seen) -> dict[str, Any]:
     try:
-        said = json.loads(seen.data)
+        content = json.loads(seen.data)
     except ValueError:
         return {}
-    return said if isinstance(said, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
-def _holders(said: dict[str, Any]) -> list[dict[str, Any]]:
-    found = said.get("holders")
+def _holders(content: dict[str, Any]) -> list[dict[str, Any]]:
+    found = content.get("holders")
     return [each for each in found if isinstance(each, dict)] if isinstance(found, list) else []
 
 
-def _lease(said: dict[str, Any]) -> float:
-    found = said.get("lease")
+def _lease(content: dict[str, Any]) -> float:
+    found = content.get("lease")
     return float(found) if isinstance(found, int | float) else LEASE
 
 

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
 MEMORY = 1 << 30
 SHARDS = (2048, 1024, 512)
 BASE = 280 << 20  # the interpreter, its libraries and their caches
-READER = 160 << 20  # what a mosaic may hold while it reads one window
+READER = 160 << 20  # memory of a mosaic while it reads one window
 
 Path_ = str | os.PathLike[str]
 
@@ -387,8 +387,8 @@ def _fill(
         kind = None if plan.get("chunked") is None else Kind(*plan["chunked"])
         wanted = plan.get("tins"), kind, plan.get("quadtin")
         record = make(record, Work(kinds, writer, jobs, executor, progress, *wanted))
-    if coding is not None and (told := coding.surprise(record.height_range, bool(lattices))):
-        progress.warn(told)
+    if coding is not None and (warning := coding.surprise(record.height_range, bool(lattices))):
+        progress.warn(warning)
     if raster.fingerprint() != plan["source"]:
         if not keyed:
             storage.remove()

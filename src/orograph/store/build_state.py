@@ -1,8 +1,8 @@
 """What a worker of a cluster needs for a build (``worker_state``): the store, the plan, and the source.
 
 It opens those files itself, and does nothing if they differ from those of the plan, or if the build was abandoned or
-restarted meanwhile: it checks the plan before every write. What stages need from earlier ones (the digests of shards,
-needed to read them) is in ``parts/`` of the store.
+restarted meanwhile: it checks the plan before every write. Results of earlier stages that later ones need (the digests
+of shards, needed to read them) are in ``parts/`` of the store.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from orograph.store.writer import ShardWriter
 
 
 class BuildRecipe(NamedTuple):
-    """Everything that workers get once.
+    """What workers receive once.
 
     Attributes:
         url: where the store is made. storage_options: for the bucket (obstore's), in addition to the environment.
         plan: of the build. coding: how heights are encoded. begun: the plan, as stored at the key ``at``.
-        keyed: as of ``Digests``: of updates in buckets.
+        keyed: as for ``Digests``: of updates in buckets.
         source: opens the source, with arrays of these kinds (``handing``).
         levels: of the groups of heights and errors; 0: none.
         memory: bytes that a task may take, in addition to ``base`` of the process.
@@ -61,8 +61,9 @@ def recipe_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at: str, memory: int, base: int,
 ) -> BuildRecipe:  # fmt: skip
-    """The recipe of a build without groups, whose plan lies in the storage at the key ``at``; leaves there what workers
-    take over of the source.
+    """The recipe of a build without groups, whose plan is stored at the key ``at``.
+
+    Also stores there what workers take over of the source.
 
     Raises:
         UsageError: the heights are not in files, or the store would be in this process's memory.

@@ -1,4 +1,4 @@
-"""Decoded chunks cached in memory up to a budget of bytes; the least recently used is dropped first. Thread-safe."""
+"""A memory cache of decoded chunks, limited in bytes; the least recently used is dropped first. Thread-safe."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def check(terrain: StoredTerrain, *, jobs: int | None = None, progress: Progress
 
 
 def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot) -> Iterator[Damage]:
-    """Yield what is wrong with a shard."""
+    """Yield the faults of a shard."""
     key = spec.key(spot)
     data = storage.get(spec.place(spot, digests))
     if data is None:
@@ -90,7 +90,7 @@ def check_shard(storage: Storage, digests: Digests, spec: ArraySpec, spot: Spot)
 
 
 def _others(storage: Storage, digests: Digests, arrays: Iterable[str]) -> Iterator[Damage]:
-    """Yield what is wrong with coordinates and metadata."""
+    """Yield the faults of coordinates and metadata."""
     for key in sorted(set(digests.listed) - set(arrays)):
         data = storage.get(key if key == ROOT else digests.place(key, bytes(digests.listed[key])))
         if data is None:

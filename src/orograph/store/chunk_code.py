@@ -1,34 +1,34 @@
-"""Chunks' meshes in few bytes that a GPU can decode: runs of triangles, each decoded by a thread, quantised heights.
+"""Meshes of chunks, compressed for decoding on a GPU: runs of triangles, one thread each, with quantised heights.
 
 After Dick, Schneider & Westermann, *Efficient Geometry Compression for GPU-based Decoding in Realtime Terrain
 Rendering* (Computer Graphics Forum 28(1), 2009): restricted-quadtree meshes of tiles, along a path with one code per
 triangle, whose positions follow from how triangles were split, and whose heights are differences from predictions. Here
-the path is the Sierpinski curve through the binary tree of right triangles (``chunk_walk``), cut into *runs* of
-at most ``LEAVES`` leaves, which know nothing of each other: vertices between two runs are in both.
+the path is the Sierpinski curve through the binary tree of right triangles (``chunk_walk``), cut into *runs* of at most
+``LEAVES`` leaves. Runs are independent: a vertex between two runs is in both.
 
-*Words* (uint32) of a chunk: 8 of ``HEADER``; a byte for each depth of the tree but the last, the Rice parameter of
-residuals there, filled up to whole words; 8 bytes for each run, how many words, vertices, triangles and edges with a
-skirt it has; the runs, each filled up to whole words. A *run*, numbers of bits in parentheses, the lowest first:
+*Words* (uint32) of a chunk: 8 of ``HEADER``; a byte for each depth of the tree but the last, the Rice parameter of its
+residuals, padded to whole words; 8 bytes for each run, with its number of words, vertices, triangles and edges with a
+skirt; the runs, each padded to whole words. A *run*, with the number of bits in parentheses, the lowest first:
 
-- 4 + what its Rice parameters are above those of the chunk (3);
-- the node that all of its leaves lie in: which of the two roots (1), its depth (6), the halves that lead to it (1
+- 4 + the excess of its Rice parameters over those of the chunk (3);
+- the node that contains all of its leaves: which of the two roots (1), its depth (6), the halves that lead to it (1
   each);
-- the nodes between that and the first leaf, which are all split: how many (6), the halves (1 each); what lies before
+- the nodes between that and the first leaf, which are all split: how many (6), the halves (1 each); everything before
   the second halves belongs to earlier runs;
-- the three corners of that node: how high above ``base``; whether that is the height in the coarser mesh, too (1), or
-  else 0 where that has none, or 1 + the difference in ``PARTS`` (zigzag);
-- the walk, up to ``leaves`` leaves. Of each node, unless told before or as deep as nodes get, whether it is split (1).
-  Of a vertex that is new in the run: whether the coarser mesh has it (1); how it differs from the middle of its two
-  ends (zigzag), as a Rice code: as many ones as its higher bits tell, a zero, its lower bits; after ``ONES`` ones
+- the three corners of that node: the height above ``base``; whether the coarser mesh has the same height (1), or else 0
+  if it has none, or 1 + the difference in ``PARTS`` (zigzag);
+- the walk, up to ``leaves`` leaves. For each node, unless it is already known or at the maximum depth: whether it is
+  split (1). For a vertex that is new in the run: whether the coarser mesh has it (1); its difference from the middle of
+  its two ends (zigzag), as a Rice code: its higher bits in unary (ones), a zero, its lower bits; after ``ONES`` ones,
   the number itself (``RAW``).
 
-Corners and vertices on the chunk's sides go on with how low the skirt hangs below them, in ``drop`` bits: 0, none does,
-or 1 + steps. With ``VOIDS`` they begin with whether they are missing (1; then nothing follows), and of each leaf there
-is whether it has no ground (1). All arithmetic is of int32.
+Corners and vertices on the chunk's sides are followed by the depth of the skirt below them, in ``drop`` bits: 0, no
+skirt, or 1 + steps. With ``VOIDS`` they begin with whether they are missing (1; then nothing follows), and each leaf
+has a bit for whether it has no ground (1). All arithmetic is int32.
 
-A *step* is a power of two in metres: the largest of which all heights of the chunk are multiples, up to 1 km; or the
-terrain's own (``step_of``), with which heights are off by half a step at most. All chunks share one lattice, so those
-of one level still fit together.
+A *step* is a power of two in metres: either the largest one of which all heights of the chunk are multiples, up to 1
+km; or the terrain's own (``step_of``), with which heights are off by half a step at most. All chunks share one lattice,
+so those of one level still fit together.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from orograph.store.chunked import (
 )
 
 HEADER = ("vertices", "triangles", "hung", "runs", "leaves", "flags", "base", "bits")
-"""Of a chunk: vertices, triangles, edges that a skirt hangs from, runs, leaves of a run; ``flags``: 64 + log2 of the
+"""A chunk's counts of vertices, triangles, edges with a skirt, runs, leaves of a run; ``flags``: 64 + log2 of the
 step (8 bits), ``drop`` (8 bits), ``VOIDS``, ``EXACT``; the lowest height, steps; bits of a corner's height above that
 (8 bits) and of its difference in the coarser mesh (8 bits)."""
 
@@ -138,8 +138,11 @@ def encoded(words: Words, layout: Layout, level: int, i: int, j: int, step: floa
 
 
 class _Replayed(NamedTuple):
-    """A chunk from the words of ``chunked``: how many codes; metres of vertices, of skirts at those on the sides, of
-    corners in the coarser mesh; as of ``chunk_write.replay``."""
+    """A chunk from the words of ``chunked``.
+
+    The number of codes; heights in metres of vertices, of skirts at vertices on the sides, and of corners in the
+    coarser mesh; the other fields are those of ``chunk_write.replay``.
+    """
 
     codes: int
     metres: NDArray[np.float32]
@@ -164,7 +167,7 @@ def _replayed(words: Words, corners: Corners) -> _Replayed:
 
 
 def _quantised(mesh: _Replayed, step: float, side: NDArray[np.bool_]) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Heights in steps, and 1 + how low the skirt hangs below them, 0 where none does."""
+    """Heights in steps, and 1 + the depth of the skirt below them, 0 where there is none."""
     missing = np.isnan(mesh.metres)
     heights = np.where(missing, MISSING, np.rint(np.where(missing, 0, mesh.metres) / step)).astype(np.int32)
     hangs = np.full(len(heights), np.nan)
@@ -179,7 +182,7 @@ def _tell(
     told: NDArray[np.int64], heights: NDArray[np.int32], targets: NDArray[np.int32], ends: NDArray[np.int64],
     kept: NDArray[np.uint8], down: NDArray[np.int64],
 ) -> int:  # fmt: skip
-    """Fill in what is written of each vertex (``chunk_write``); returns the lowest height."""
+    """Fill in what is written for each vertex (``chunk_write``); returns the lowest height."""
     there, whole = heights != MISSING, heights.astype(np.int64)
     base = int(whole[there].min(initial=MOST)) if there.any() else 0
     e, f = whole[ends].T
@@ -192,10 +195,10 @@ def _tell(
 
 
 def decoded(words: Words, layout: Layout, level: int, i: int, j: int) -> Decoded:
-    """A chunk's mesh from its words, skirts left out; vertices between runs are there more than once.
+    """A chunk's mesh from its words, without skirts; vertices between runs are repeated.
 
     Raises:
-        ValueError: they are not those of a chunk.
+        ValueError: they are not the words of a chunk.
     """
     from orograph.store.chunk_read import read_runs
 
@@ -272,7 +275,7 @@ def _lattice(heights: NDArray[np.float32], least: float) -> tuple[float, bool]:
 
 
 def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
-    """What kernels know of a chunk but what its words tell (``chunk_walk``)."""
+    """Facts about a chunk that kernels need in addition to its words (``chunk_walk``)."""
     from orograph.store.chunk_walk import ABOUT
 
     side, about = layout.side(level), np.zeros(ABOUT, np.int64)
@@ -281,7 +284,7 @@ def _about(layout: Layout, level: int, i: int, j: int) -> NDArray[np.int64]:
 
 
 def _spans(*leaves: int) -> tuple[NDArray[np.int64], int]:
-    """(r, 2) the first leaf of each run and the one after its last, given how many each root has; leaves of a run."""
+    """(r, 2) the first leaf of each run and the one after its last, from the leaves of each root and of a run."""
     size = max(-(-count // -(-count // LEAVES)) for count in leaves)
     firsts, begin = [], 0
     for count in leaves:

@@ -47,7 +47,7 @@ def signed(zigzag):
 
 @inlined
 def hang(words, cursor, about, places, heights, low, v):
-    """Read how low the skirt hangs below a vertex."""
+    """Read the depth of the skirt below a vertex."""
     low[v] = MISSING
     if heights[v] != MISSING and beside(places, v, about):
         down = take(words, cursor, about[DROP])
@@ -56,7 +56,7 @@ def hang(words, cursor, about, places, heights, low, v):
 
 @inlined
 def read_corner(words, cursor, about, places, heights, targets, low, v):
-    """Read a corner of the node that a run lies in."""
+    """Read a corner of a run's node."""
     heights[v] = targets[v] = MISSING
     if not about[HOLES] or not take(words, cursor, 1):
         heights[v] = about[BASE] + take(words, cursor, about[HIGH])
@@ -86,7 +86,7 @@ def read_vertex(words, cursor, about, k, places, heights, targets, low, v, e, f)
 
 @inlined
 def read_root(words, cursor, about, corners, places, first):
-    """Read where the node is that a run lies in; returns its depth."""
+    """Read the position of a run's node; returns its depth."""
     root = take(words, cursor, 1)
     for k in range(2):
         places[first, k], places[first + 1, k] = corners[2 * root, k], corners[1 + 2 * root, k]

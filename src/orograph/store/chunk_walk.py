@@ -1,16 +1,16 @@
-"""The triangles of a chunk in runs, as ``chunk_code`` writes them: written down, and read again.
+"""The triangles of a chunk in runs, as ``chunk_code`` encodes them: writing and reading.
 
 The *walk* goes through the binary tree of right triangles in the order of the Sierpinski curve. A *node* is a triangle:
-its apex, and the ends of its hypotenuse where the curve enters and leaves. The vertex b in the middle of that splits
-(a, e, f) into (b, e, a) and (b, a, f); so the hypotenuses of nodes of even depth lie on one side of the curve, those of
-odd depth on the other. What lies on one side is met again in reverse order: a vertex is met twice, at the two nodes
-whose hypotenuse it splits, so a stack for each side knows the number of each that is met again (Bader & Zenger). The
-first time it is put there once its node is done; the second time it is on top. Of each edge of a node one bit says
-whether it is *new*, to be met again within the walk. If an edge is not and the vertex is not on its stack, it lies
-between two runs and each has its own. (Only where a triangle beyond the raster is not split as its neighbour is do
-vertices remain on a stack; then the one looked for is below them.)
+its apex, and the ends of its hypotenuse where the curve enters and leaves. The vertex b in the middle of the hypotenuse
+splits (a, e, f) into (b, e, a) and (b, a, f); so the hypotenuses of nodes of even depth lie on one side of the curve,
+those of odd depth on the other. Vertices on one side are met again in reverse order: a vertex is met twice, at the two
+nodes whose hypotenuse it splits, so a stack for each side holds the vertices that will be met again (Bader & Zenger).
+After the first meeting it is pushed once its node is done; at the second it is on top. One bit for each edge of a node
+says whether it is *new*, that is, met again within the walk. If an edge is not new and the vertex is not on its stack,
+it lies between two runs, and each has its own copy. (Vertices remain on a stack only where a triangle beyond the raster
+is not split although its neighbour is; then the wanted one is below them.)
 
-Numbers of vertices are those of a run, from 0, its three corners first.
+Vertices are numbered within a run, from 0, its three corners first.
 """
 
 from __future__ import annotations
@@ -22,17 +22,18 @@ from orograph.store.chunked import MISSING
 
 ABOUT = 11
 ROW, COL, SIDE, LAST_ROW, LAST_COL, LEVELS, HOLES, DROP, BASE, HIGH, MOVED = range(ABOUT)
-"""What there is to know about a chunk: its first row and column, its side, the raster's last row and column, how often
+"""Facts about a chunk: its first row and column, its side, the raster's last row and column, how often
 its triangles may be halved, whether heights may be missing; bits of the skirt's depths, the lowest height, bits of
 heights above it and of targets' differences."""
 
 APEX, ENTRY, EXIT, NEW, NEW_FIRST, NEW_SECOND, DEEP = range(7)
-"""Of a node: its corners; which edges are new: the hypotenuse, the leg at the entry and that at the exit; its depth."""
+"""Fields of a node: its corners; which edges are new: the hypotenuse, the leg at the entry and that at the exit; its
+depth."""
 
 
 @inlined
 def begin(node, a, e, f, depth):
-    """Begin a walk at a node, of whose edges none is new."""
+    """Begin a walk at a node none of whose edges is new."""
     node[APEX], node[ENTRY], node[EXIT], node[DEEP] = a, e, f, depth
     node[NEW] = node[NEW_FIRST] = node[NEW_SECOND] = 0
 
@@ -57,10 +58,10 @@ def met(node, waiting, counts, places, names, first, row, col):
 
 @inlined
 def halve(node, b, over, stack, top):
-    """Go on to the first half of a node, or over it to the second.
+    """Go to the first half of a node, or skip it and go to the second.
 
     Returns: the top of the stack: of the halves that follow (b, a, f, whether its hypotenuse and its second leg are
-        new, depth), and of vertices (b, b, …) whose node is then done.
+    new, depth), and of vertices (b, b, …) whose node is then complete.
     """
     a, e, f, new, first, second = node[0], node[1], node[2], node[3], node[4], node[5]
     node[APEX] = b
@@ -85,9 +86,9 @@ def pending(b, a, f, new, second, depth):
 
 @inlined
 def onward(node, stack, top, waiting, counts):
-    """Go on from a leaf to the node that follows it.
+    """Go from a leaf to the next node.
 
-    Returns: the top of the stack, −1 where none follows.
+    Returns: the top of the stack, −1 if there is no next node.
     """
     while top > 0:
         entry = stack[top - 1]
@@ -120,7 +121,7 @@ def drawn(places, heights, a, e, f, about):
 
 @inlined
 def beside(places, v, about):
-    """On which of the chunk's sides a vertex lies: a bit each."""
+    """The chunk's sides on which a vertex lies, as bits."""
     row, col = places[v, 0] - about[ROW], places[v, 1] - about[COL]
     side = about[SIDE]
     return (row == 0) | (col == 0) << 1 | (row == side) << 2 | (col == side) << 3
@@ -128,7 +129,7 @@ def beside(places, v, about):
 
 @inlined
 def hangs(places, low, p, q, about):
-    """Whether a skirt hangs from an edge."""
+    """Whether an edge has a skirt."""
     return low[p] != MISSING and low[q] != MISSING and (beside(places, p, about) & beside(places, q, about)) != 0
 
 
@@ -143,7 +144,7 @@ def parameter(rices, depth, shift):
 
 @inlined
 def guess(a, b):
-    """The height of a vertex that is expected between two others, steps."""
+    """The predicted height of a vertex between two others, in steps."""
     if a == MISSING and b == MISSING:
         return 0
     if a == MISSING:
@@ -153,7 +154,7 @@ def guess(a, b):
 
 @inlined
 def halfway(places, targets, e, f, own, about):
-    """``chunked_kernels.middle`` of two vertices in whole numbers."""
+    """``chunked_kernels.middle`` of two vertices in integers."""
     lr, lc, rr, rc = places[e, 0], places[e, 1], places[f, 0], places[f, 1]
     left, right = np.int64(targets[e]), np.int64(targets[f])
     if left == MISSING or right == MISSING:
@@ -169,8 +170,10 @@ def halfway(places, targets, e, f, own, about):
 
 @inlined
 def part(a, b, left, right, own, last):
-    """How high the line between two ends is above what lies between them on the raster; of an end beyond it, on its
-    last sample. Numbers stay within 32 bits."""
+    """How high the line between two ends is above the raster between them.
+
+    An end beyond the raster counts as its last sample. Numbers stay within 32 bits.
+    """
     low, high = min(a, b), max(a, b)
     under, over = (left, right) if a < b else (right, left)
     whole, done = min(high, last) - min(low, last), min((a + b) >> 1, last) - min(low, last)

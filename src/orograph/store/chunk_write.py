@@ -1,4 +1,4 @@
-"""Write a chunk's runs down (``chunk_code``): the walk of ``chunk_walk`` over what ``chunked`` has of a chunk."""
+"""Encode a chunk's runs (``chunk_code``): the walk of ``chunk_walk`` over a chunk of ``chunked``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ from orograph.store.chunked import DEPTH, MET, MISSING, ONES, PARTS, RAW
 from orograph.store.chunked_kernels import DROPPED, KEPT, SPLIT, slot
 
 MISSED, HEIGHT, KEPT_, DELTA, REST, AT, BESIDE, DOWN = range(8)
-"""Of a vertex to be written: whether it is missing, its height above ``BASE``, whether its target is its height, 1 +
-how its target differs (zigzag), its residual (zigzag), the depth of the nodes that it splits, whether it lies on a side
-of the chunk, how low the skirt hangs."""
+"""Fields of a vertex to write: whether it is missing, its height above ``BASE``, whether its target equals its height,
+1 + the difference of its target (zigzag), its residual (zigzag), the depth of the nodes that it splits, whether it lies
+on a side of the chunk, the depth of the skirt."""
 
 
 @kernel
@@ -91,7 +91,7 @@ def survey(slots, places, levels, ends, told, paths):
 
     Args:
         slots, places: of ``replay``. levels: how many times triangles may be halved. ends: (v, 2) int64, between which
-            two vertices each lies. told: (v, 8) int64; of each ``AT``. paths: (t, 2) int64: of each leaf which root
+            two vertices each lies. told: (v, 8) int64; of each ``AT``. paths: (t, 2) int64: for each leaf which root
             and then which halves lead to it, the first in the lowest bit; its depth. All are written to.
 
     Returns: how many leaves each of the two roots has.
@@ -122,7 +122,7 @@ def survey(slots, places, levels, ends, told, paths):
 
 @inlined
 def found(slots, row, col):
-    """The number of the vertex at a place; −1: none, −2: none, and no ground."""
+    """The number of the vertex at a place; −1: none; −2: none, and no ground."""
     key = row << 32 | col
     at = slot(slots, key)
     return slots[at, 1] if slots[at, 0] == key else np.int64(-1)
@@ -148,7 +148,7 @@ def choose_rices(told, rices):
 
 @inlined
 def write(words, at, number, width):
-    """Write bits; returns where the next go."""
+    """Write bits; returns the next position."""
     if width:
         shift = at & 31
         words[at >> 5] |= np.uint32(number << shift & 0xFFFFFFFF)
@@ -159,7 +159,7 @@ def write(words, at, number, width):
 
 @inlined
 def write_path(words, at, path, count):
-    """Write how many halves follow and which."""
+    """Write the number of halves and which they are."""
     at = write(words, at, count, 6)
     for k in range(count):
         at = write(words, at, path >> k & 1, 1)
@@ -226,7 +226,7 @@ def trace(slots, places, heights, low, about, paths, span, node, stack, waiting,
 
 @inlined
 def spell(told, about, rices, path, depth, common, names, steps, words, at):
-    """Write a run down. Args: as of ``trace``; ``words``, ``at``: where, as of ``write``. Returns where it ends."""
+    """Encode a run. Args: as for ``trace``; ``words``, ``at``: as for ``write``. Returns where it ends."""
     least, shift = 1 << 62, 0
     for some in range(-4, 4):
         whole = 0
@@ -267,7 +267,7 @@ def spell(told, about, rices, path, depth, common, names, steps, words, at):
 
 @kernel
 def write_runs(slots, places, heights, low, told, about, rices, paths, spans, words, table):
-    """Write runs down.
+    """Encode runs.
 
     Args:
         slots, places: of ``replay``. heights, low: (v,) int32, steps. told: (v, 8) int64, of each vertex (see above).

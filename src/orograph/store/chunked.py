@@ -49,10 +49,10 @@ PARTS = 64
 """Heights of the coarser mesh are stored in this fraction of a step."""
 
 DEPTH, MET, WORDS = 48, 192, 320
-"""Of a compressed chunk: its tree is at most this deep; no run has more vertices, or words."""
+"""Limits of a compressed chunk: depth of its tree; vertices, and words, of a run."""
 
 ONES, RAW = 8, 20
-"""There a residual whose higher bits take this many ones is written in so many bits."""
+"""In a compressed chunk, a residual with this many leading ones is written in RAW bits."""
 
 Words = NDArray[np.uint32]
 Corners = NDArray[np.int64]
@@ -81,20 +81,20 @@ def checked_kind(chunked: Any) -> Kind:
     Raises:
         UsageError: the request is invalid.
     """
-    told = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
+    kind = Kind(*chunked) if isinstance(chunked, (tuple, list)) and 2 <= len(chunked) <= 3 else None
     if (
-        told is None
-        or told.cells not in ALL_CELLS
-        or not isinstance(told.finest, (int, float))
-        or not 0 <= told.finest < math.inf
-        or not isinstance(told.compressed, bool)
+        kind is None
+        or kind.cells not in ALL_CELLS
+        or not isinstance(kind.finest, (int, float))
+        or not 0 <= kind.finest < math.inf
+        or not isinstance(kind.compressed, bool)
     ):
         raise UsageError(
             f"'chunked' must be cells along a side, one of {', '.join(map(str, ALL_CELLS))}, metres, 0 or more, and "
             f"optionally whether they are compressed, not {chunked!r}.",
             remedy="The default of chunked-lod is (32, 0).",
         )  # fmt: skip
-    return told._replace(cells=int(told.cells), finest=float(told.finest))
+    return kind._replace(cells=int(kind.cells), finest=float(kind.finest))
 
 
 @dataclass(frozen=True, slots=True)

@@ -150,8 +150,10 @@ def _put(places, vertices, at, row, col, heights, last_row, last_col):
 
 @kernel
 def middle(lr, lc, rr, rc, left, right, own, last_row, last_col):
-    """The height of a vertex on the edge between two others, any of which may be squeezed onto the raster's border;
-    its own height where squeezing takes it off their edge."""
+    """The height of a vertex on the edge between two others, any of which may be squeezed onto the raster's border.
+
+    It is its own height if squeezing takes it off their edge.
+    """
     if max(lr, rr) <= last_row and max(lc, rc) <= last_col:
         return (left + right) / 2
     if lr == rr:
@@ -174,8 +176,8 @@ def lowest(at, heights, known, line, ends, level, reach, result):
     Args:
         at: (v,) int64, the vertices' positions along the side, rising, in samples from its first corner; they include
             both corners. heights, known: (v,) their heights and levels. line: (s,) float32, full resolution
-            along the side; what is beyond the raster lies on its last sample. ends: (reach, 2) heights of the corners
-            in the meshes of the levels above. level: the chunk's. reach: how many levels above count.
+            along the side; beyond the raster, its last sample is repeated. ends: (reach, 2) heights of the corners
+            in the meshes of the levels above. level: the chunk's. reach: the number of levels above.
         result: (v,) float32, written to; NaN where nothing is known.
     """
     count, last = len(at), len(line) - 1

@@ -128,9 +128,9 @@ def check_workers(workers: int | None, dask: Any, what: str, part: Any = None, f
     if workers is not None and workers < 1:
         raise UsageError(f"{what} needs at least one worker, not {workers}.")
     ways = {"workers": workers, "dask": dask, "part": part, "finish": finish or None}
-    said = [name for name, value in ways.items() if value is not None]
-    if len(said) > 1:
-        raise UsageError(f"`{said[0]}` and `{said[1]}` exclude each other.")
+    given = [name for name, value in ways.items() if value is not None]
+    if len(given) > 1:
+        raise UsageError(f"`{given[0]}` and `{given[1]}` exclude each other.")
 
 
 class Cluster:
@@ -225,8 +225,8 @@ class _Round:
             raise self._failed()
 
     def _fill(self) -> bool:
-        """Begin tasks as far as there is room; whether any are under way."""
-        if time.monotonic() - self.counted > COUNTING:  # it is asked of the scheduler, which takes some milliseconds
+        """Start tasks while there is room; return whether any are running."""
+        if time.monotonic() - self.counted > COUNTING:  # a request to the scheduler, which takes some milliseconds
             self.threads, self.counted = self._threads(), time.monotonic()
         room = AHEAD * self.threads - len(self.pending)
         if len(self.given_up) < GIVEN_UP:
@@ -278,7 +278,7 @@ class _Round:
                 if done.seconds:
                     self.stage.renewed(spot)
                 self._hear(done)
-        except Exception as failure:  # the scheduler is gone, with all that it knew; or the worker is
+        except Exception as failure:  # the scheduler is gone with its state, or the worker is
             error, why = failure, _said(failure)
         future.release()
         if why is None:
@@ -320,13 +320,15 @@ class _Round:
     def _failed(self) -> StoreError:
         """Return the error that lists the tasks given up, and why."""
         left = len(self.stage.tasks()) - sum(1 for _ in self.begun)
-        told = [f"{self.stage.key(spot).removesuffix('.part')}: {why}" for spot, why in list(self.given_up.items())[:4]]
-        more = len(self.given_up) - len(told)
+        reasons = [
+            f"{self.stage.key(spot).removesuffix('.part')}: {why}" for spot, why in list(self.given_up.items())[:4]
+        ]
+        more = len(self.given_up) - len(reasons)
         others = f" and {more} more" if more > 0 else ""
         never = f" {left} tasks were not begun." if left else ""
         return StoreError(
             f"{len(self.given_up)} tasks of {self.stage.label!r} were given up after {TRIES} tries each: "
-            f"{'; '.join(told)}{others}.{never}", path=self.stage.place,
+            f"{'; '.join(reasons)}{others}.{never}", path=self.stage.place,
             remedy=f"Fix the cause. {self.stage.again}",
         )  # fmt: skip
 

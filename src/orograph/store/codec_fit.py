@@ -1,6 +1,6 @@
-"""What the encoders of *compact* and *smallest* fit with: least squares, samples of a row side by side.
+"""Least squares for the encoders of *compact* and *smallest*, with samples of a row side by side.
 
-Sums are added up in an order that does not depend on the processor, so that the same samples are the same bytes.
+Sums are added in an order that does not depend on the processor, so that equal samples give equal bytes.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from orograph._lanes import LANES, fused, load, store
 from orograph._numba import kernel
 from orograph.store.codec_head import NEIGHBOURS, TOTAL
 
-FOUR = 4  # products that are added up at once
+FOUR = 4  # products that are added at once
 AROUND = NEIGHBOURS + 1  # features of a prediction: differences of the samples around from N, and that of the sample
 
 
 @kernel
 def cleared(count):
-    """So many zeros, at an address that vectors of eight load fastest from."""
+    """An array of zeros at an address from which vectors of eight load fastest."""
     room = np.zeros(count + LANES)
     at = -(room.ctypes.data // 8) % LANES
     return room[at : at + count]
@@ -87,8 +87,10 @@ def _put_differences(source, near, count, out):
 
 @kernel
 def put_surroundings(far, near, line, at, count, features):
-    """What the samples around those of a row differ from the one above by, in the order of the weights, and what the
-    sample itself does.
+    """The features of a row's samples.
+
+    They are the differences of the surrounding samples from the one above, in the order of the weights, and that of the
+    sample itself.
 
     Args:
         far, near: the two rows above. at: where the first sample is, and those beside it: WW, W, itself, E, EE.
@@ -107,7 +109,7 @@ def put_surroundings(far, near, line, at, count, features):
 
 @kernel
 def put_shares(features, counted, shares):
-    """What samples count: a cliff must not outvote the plain. Return how many of them count.
+    """The weights of samples in the fit, so that a cliff does not outvote the plain. Return how many samples count.
 
     Args:
         counted: (width,) int32, 0 for samples that do not.

@@ -1,4 +1,4 @@
-"""What the decoders of *compact* and *smallest* share: reading the heads of chunks (docs/codec.md).
+"""Reading the heads of chunks (docs/codec.md), for the decoders of *compact* and *smallest*.
 
 Nothing read from a chunk is used as an index before it is checked.
 """
@@ -10,15 +10,15 @@ import numpy as np
 from orograph._numba import inlined, kernel
 
 MISSING = -(1 << 31)
-NEIGHBOURS = 11  # besides N
+NEIGHBOURS = 11  # not counting N
 BITS = 12  # of probabilities
 TOTAL = 1 << BITS
 DIRECT = 224  # the first symbols of a table, at most this many, are values; the others are ranges of larger ones
 SYMBOLS = DIRECT + 32
 START = 36  # the predecessor of a table's first code
-DEEPEST = 16  # most bits below symbols
-LEAST = 1 << 16  # least state
-WORDS = 5  # most words that one sample takes
+DEEPEST = 16  # maximum bits below symbols
+LEAST = 1 << 16  # smallest state
+WORDS = 5  # maximum words per sample
 
 CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
 """Error codes: the chunk is too short; another version; its tables, mask or stream of words are invalid."""
@@ -157,7 +157,7 @@ def read_weights(data, at, out):
 
 @kernel
 def read_words(data, at, out):
-    """Copy words of a stream to where more than there are may be read; where they end."""
+    """Copy the words of a stream to a buffer with room to read beyond their end; return where they end."""
     some = data[at : at + 2 * out.size]
     for k in range(some.size // 2):
         here = np.uint64(2 * k)

@@ -123,12 +123,11 @@ class Coding:
         return 1 if self.max_error is None else int(2 * self.max_error / self.step)
 
     def rounded(self, heights: Heights, own: int, kept: Numbers | None = None) -> tuple[Heights, NDArray[np.float64]]:
-        """Return heights as stored, and the loss in the first ``own`` rows and columns: (the largest difference, the
-        sum of all squares).
+        """Heights as stored, and the loss in the first ``own`` rows and columns.
 
         Args:
             heights: C order, of a shard of ``own`` samples a side, with the row and column that follow.
-            kept: the numbers that they become (with the codec *progressive*); None: the nearest.
+            kept: the numbers to store (with the codec *progressive*); None: the nearest.
 
         Raises:
             UsageError: heights are too large for such steps.

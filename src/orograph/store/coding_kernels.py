@@ -26,8 +26,7 @@ def place(numbers, step, out):
 
 @kernel
 def quantise(heights, step, kept, own, out):
-    """Heights as stored; (the largest without its sign, the largest difference; in the first ``own`` rows and columns
-    alone: the largest difference, the sum of squared differences).
+    """Heights as stored, and their losses.
 
     Args:
         heights: (rows, cols) float32, metres, NaN where missing.

@@ -61,7 +61,7 @@ def level_transform(grid: Grid, level: int, mean: bool) -> Affine:
 
 
 def consolidated(nodes: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """The metadata of all that is below a group, as the group keeps them."""
+    """The metadata of everything below a group, as the group stores them."""
     # zarr-python wants the children of a group in sorted order
     in_order = dict(sorted(nodes.items(), key=lambda item: (item[0].count("/"), item[0])))
     return {"kind": "inline", "must_understand": False, "metadata": in_order}
@@ -92,8 +92,10 @@ def spatial_attributes(grid: Grid) -> dict[str, Any]:
 
 @lru_cache(maxsize=8)
 def _code(crs: CRS) -> str:
-    """AUTHORITY:CODE of a CRS, "" if it has none; cached, since finding it takes a tenth of a second and all arrays
-    have one."""
+    """AUTHORITY:CODE of a CRS, "" if it has none.
+
+    It is cached, because finding it takes a tenth of a second and all arrays have one.
+    """
     return ":".join(crs.to_authority(min_confidence=100) or ())
 
 

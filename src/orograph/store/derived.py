@@ -41,9 +41,9 @@ class Derived(ABC, Generic[T]):
 
     Attributes:
         name: in records and needs. version: of its arrays. group: the group of a store that holds them.
-        needs: names of the kinds that it is made of, besides heights.
+        needs: names of the kinds that it is made from, besides heights.
         later: whether it is put into complete stores, whose terrain stays the same.
-        shared: whether several are added to its group one by one, so that the group's own document must not list them.
+        shared: whether several are added to its group one by one, so that the group's document must not list them.
     """
 
     name: ClassVar[str]
@@ -59,7 +59,7 @@ class Derived(ABC, Generic[T]):
 
     @abstractmethod
     def parse(self, found: dict[str, Any], grid: Grid) -> T:
-        """What the JSON of a record says."""
+        """An entry from the JSON of a record."""
 
     @abstractmethod
     def to_json(self, what: T) -> dict[str, Any]:
@@ -86,7 +86,7 @@ class Derived(ABC, Generic[T]):
         """
 
     def compute(self, terrain: MemoryTerrain, **options: Any) -> Any:
-        """The same for a terrain in memory, made now.
+        """A reader of data computed now, for a terrain in memory.
 
         Raises:
             StoreError: only stores have such data.
@@ -102,7 +102,7 @@ class Derived(ABC, Generic[T]):
         return True
 
     def remedy(self, url: str, keys: list[str]) -> str | None:
-        """The call that remakes damaged objects; None: they follow from the heights, and a repair makes them."""
+        """The call that rebuilds damaged objects; None: a repair rebuilds them from the heights."""
         return None
 
     def of(self, record: Record) -> T:

@@ -144,14 +144,14 @@ class ChunkStage(TerrainStage[Written]):
             storage.put(FINEST, [dumps({"error": error, "vertices": len(levels)})])
 
     def _handed(self) -> Reached | None:
-        """What the building process has handed over."""
+        """The building process's results for this task."""
         storage = self.writer.storage
-        if not isinstance(storage, FolderStorage) or (told := storage.get(FINEST)) is None:
+        if not isinstance(storage, FolderStorage) or (text := storage.get(FINEST)) is None:
             return None
-        said = json.loads(told)
+        facts = json.loads(text)
         # (Copy-on-write: for read-only arrays, kernels would be compiled once more.)
-        levels: Any = np.memmap(storage.path / LEVELS, np.uint8, "c", shape=(int(said["vertices"]),))
-        return Reached(said["error"], np.asarray(levels))
+        levels: Any = np.memmap(storage.path / LEVELS, np.uint8, "c", shape=(int(facts["vertices"]),))
+        return Reached(facts["error"], np.asarray(levels))
 
     def tasks(self) -> list[Spot]:
         levels = range(self.chunks.layout.top + 1)

@@ -12,8 +12,9 @@ from orograph.store.versions import folder_of
 
 
 def is_store(path: str | os.PathLike[str]) -> bool:
-    """Whether a folder or URL holds a Zarr group or the remains of a build, or is named like a version of a store
-    (``store.open`` refuses the latter two and says what there is).
+    """Whether a folder or URL holds a Zarr group or an unfinished build, or is named like a version of a store.
+
+    ``store.open`` refuses the latter two and explains.
 
     Raises:
         ReadError: a URL that could be a store cannot be reached.

@@ -67,8 +67,10 @@ def place(whole: NDArray[Any], values: NDArray[Any], octave: int, i: int, j: int
 
 
 def gather(shape: Shape, parts: Iterable[Part], kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
-    """The errors of a kind and the radii of every level, merged from all parts (radii are left empty if the parts have
-    none)."""
+    """The errors of a kind and the radii of every level, merged from all parts.
+
+    Radii are left empty if the parts have none.
+    """
     from orograph.error.diamonds import NOTHING
 
     top = level_count(shape) - 1

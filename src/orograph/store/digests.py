@@ -81,7 +81,7 @@ def unsealed(tail: bytes, key: str, chunks: int, listed: bytes) -> list[tuple[in
 
 
 def _cause(tail: bytes, key: str, chunks: int) -> str:
-    """Why the end of a shard is not what the root lists."""
+    """Why the end of a shard differs from what the root lists."""
     split = len(tail) - ENTRY * chunks - CRC
     if split < 0 or crc32c(tail[split:-CRC]) != int.from_bytes(tail[-CRC:], "little"):
         return "its index fails its checksum"

@@ -1,7 +1,6 @@
-"""Stores at addresses that fsspec alone knows: ``memory://``, ``ftp://``, ``sftp://``… (the web and buckets:
-``bucket``).
+"""Stores at addresses that only fsspec supports: ``memory://``, ``ftp://``, ``sftp://``…
 
-There are no conditional writes there, so nothing keeps two writers apart.
+(``bucket`` has the web and buckets.) There are no conditional writes there, so nothing keeps two writers apart.
 """
 
 from __future__ import annotations

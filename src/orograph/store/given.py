@@ -1,7 +1,6 @@
-"""Heights in all forms that users have, as something that reads windows of them: files, arrays, DataArrays, open
-datasets.
+"""Heights in every form that users have, as a reader of windows: files, arrays, DataArrays, open datasets.
 
-``source_of`` is the one place that distinguishes them; ``store.opening.terrain`` makes a terrain from any of them.
+``source_of`` is the only place that distinguishes them; ``store.opening.terrain`` makes a terrain from any of them.
 """
 
 from __future__ import annotations
@@ -97,31 +96,31 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         UsageError: it does not hold heights, or an option does not apply.
     """
     check_names(options, called)
-    said = {k: v for k, v in options.items() if v is not None}
+    reading = {k: v for k, v in options.items() if v is not None}
     files = files_of(given)
     if files is not None:
         if len(files) == 1 and is_store(files[0]):
-            return _of_store(files[0], said)
-        if (points := points_of(files, progress, said)) is not None:
+            return _of_store(files[0], reading)
+        if (points := points_of(files, progress, reading)) is not None:
             return points
         from orograph.dem.mosaic import Mosaic
 
-        return Mosaic.open(files, progress=progress, **options_of_rasters(said))
+        return Mosaic.open(files, progress=progress, **options_of_rasters(reading))
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
-        return _part(source, _fitting(said, OF_AREAS, "a Terrain, which has already been read"))
+        return _part(source, _fitting(reading, OF_AREAS, "a Terrain, which has already been read"))
     if isinstance(given, HeightSource):
-        return _part(given, _fitting(said, OF_AREAS, "heights that are already read by windows"))
+        return _part(given, _fitting(reading, OF_AREAS, "heights that are already read by windows"))
     several = isinstance(given, list | tuple) and not _is_window(given) and not is_rows(given)
     if several and not given:
         raise UsageError(f"{called} got an empty list: there is nothing to read.")
     if several and not all(_is_heights(one) for one in given):
         raise refused(given, called)
     warned: list[str] = []
-    made = [_raster(one, said, warned, called) for one in (given if several else [given])]
+    made = [_raster(one, reading, warned, called) for one in (given if several else [given])]
     for text in dict.fromkeys(warned):
         progress.warn(text)
-    grid = {k: v for k, v in said.items() if k in OF_GRIDS}
+    grid = {k: v for k, v in reading.items() if k in OF_GRIDS}
     if "crs" in grid and (made[0][1] or not _projected(grid["crs"])):
         del grid["crs"]  # the source said where the heights lie
     if len(made) == 1 and not grid and isinstance(made[0][0], ArraySource) and is_metric(made[0][0].grid):
@@ -132,12 +131,12 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
 
 
 def points_of(
-    files: Sequence[str], progress: Progress, said: dict[str, Any], made: Mapping[str, Any] | None = None
+    files: Sequence[str], progress: Progress, reading: dict[str, Any], made: Mapping[str, Any] | None = None
 ) -> HeightSource | None:
     """The raster of a file of points; None if the files are rasters.
 
     Args:
-        said: options of reading. made: what another process has made of the file (``PointRaster.made``).
+        reading: options of reading. made: another process's result for the file (``PointRaster.made``).
 
     Raises:
         ReadError, UsageError: as ``PointRaster.open``; points among other files; an option that does not apply to
@@ -155,38 +154,38 @@ def points_of(
         )  # fmt: skip
     from orograph.dem.gridding import PointRaster
 
-    how = options_of_points(said, "crs", "resolution", "max_edge", *OF_AREAS)
+    how = options_of_points(reading, "crs", "resolution", "max_edge", *OF_AREAS)
     area = {name: how.pop(name) for name in OF_AREAS if name in how}
     raster = PointRaster.taken_over(made, found[0]) if made else PointRaster.open(found[0], progress=progress, **how)
     return _part(raster, area)
 
 
-def options_of_files(said: Mapping[str, Any]) -> dict[str, Any]:
+def options_of_files(reading: Mapping[str, Any]) -> dict[str, Any]:
     """The given options of reading that apply to a raster's file.
 
     Raises:
         UsageError: there are others.
     """
-    return _fitting({k: v for k, v in said.items() if v is not None}, OF_FILES, "files of rasters")
+    return _fitting({k: v for k, v in reading.items() if v is not None}, OF_FILES, "files of rasters")
 
 
-def options_of_rasters(said: dict[str, Any]) -> dict[str, Any]:
+def options_of_rasters(reading: dict[str, Any]) -> dict[str, Any]:
     """The given options of reading, for ``Mosaic.open``.
 
     Raises:
         UsageError: there are others.
     """
-    return _fitting(said, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
+    return _fitting(reading, (*OF_GRIDS, *OF_FILES, *OF_MANY), "files of rasters")
 
 
-def options_of_points(said: Mapping[str, Any], *more: str) -> dict[str, Any]:
-    """The given options of reading that apply to a file of points, and ``more``.
+def options_of_points(reading: Mapping[str, Any], *more: str) -> dict[str, Any]:
+    """The given options of reading that apply to a file of points, with ``more``.
 
     Raises:
         UsageError: there are others.
     """
-    reading = (*OF_POINTS[1:], "assume_crs", "vertical_unit", "assume_vertical", *more)
-    return _fitting({k: v for k, v in said.items() if v is not None and _asked(k, v)}, reading, "points")
+    names = (*OF_POINTS[1:], "assume_crs", "vertical_unit", "assume_vertical", *more)
+    return _fitting({k: v for k, v in reading.items() if v is not None and _asked(k, v)}, names, "points")
 
 
 def _asked(name: str, value: Any) -> bool:
@@ -221,52 +220,52 @@ def check_names(options: Any, called: str) -> None:
     """Raise UsageError for unknown options of reading."""
     for name in options:
         if name not in READING:
-            own = getattr(sys.modules["orograph"], called, None)  # (only where something is wrong)
+            own = getattr(sys.modules["orograph"], called, None)  # (only to report an error)
             known = inspect.signature(own).parameters if callable(own) else ()
             names = [one for one in known if one not in ("options", "reading")]
             raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
 
 
-def _raster(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
+def _raster(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
     """A source from one thing, and whether ``crs`` determines its place."""
     from orograph.dem.datasets import file_of
     from orograph.dem.source import Source
 
     if isinstance(one, str | os.PathLike) or (is_dataset(one) and file_of(one) is not None):
         path = one if isinstance(one, str | os.PathLike) else str(file_of(one))
-        return Source.open(path, **_fitting(said, OF_FILES, "", strict=False)), False
+        return Source.open(path, **_fitting(reading, OF_FILES, "", strict=False)), False
     if isinstance(one, HeightSource):
         return one, False
-    dem, own = _dem(one, said, warned, called)
-    return ArraySource(dem.heights, dem.grid, said.get("name") or dem.name, dem.vertical, dem.attribution), own
+    dem, own = _dem(one, reading, warned, called)
+    return ArraySource(dem.heights, dem.grid, reading.get("name") or dem.name, dem.vertical, dem.attribution), own
 
 
-def _dem(one: Any, said: dict[str, Any], warned: list[str], called: str) -> tuple[Dem, bool]:
+def _dem(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> tuple[Dem, bool]:
     from orograph.dem.arrays import from_array
     from orograph.dem.datasets import from_dataset
     from orograph.dem.raster import Dem
 
-    crs = said.get("assume_crs", said.get("crs"))
-    own = "assume_crs" not in said and "crs" in said
+    crs = reading.get("assume_crs", reading.get("crs"))
+    own = "assume_crs" not in reading and "crs" in reading
     if isinstance(one, Dem):
-        _fitting(said, (*OF_GRIDS, "name"), "a Dem, which has its own")
+        _fitting(reading, (*OF_GRIDS, "name"), "a Dem, which has its own")
         return one, False
     if is_dataset(one) or _is_window(one):
         dataset, window = one if _is_window(one) else (one, None)
-        file_options = _fitting(said, (*OF_GRIDS, *OF_FILES, "name"), "an open dataset")
+        file_options = _fitting(reading, (*OF_GRIDS, *OF_FILES, "name"), "an open dataset")
         return from_dataset(dataset, window, **{k: v for k, v in file_options.items() if k not in OF_GRIDS}), False
     xarray = sys.modules.get("xarray")
     if xarray is not None and isinstance(one, xarray.DataArray | xarray.Dataset):
         from orograph.dem import dataarray
 
-        _fitting(said, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which has its own")
+        _fitting(reading, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which has its own")
         array = the_heights(one)
         if dataarray.says_crs(array):
             crs, own = None, False
-        return dataarray.from_xarray(array, crs=crs, name=said.get("name")), own
+        return dataarray.from_xarray(array, crs=crs, name=reading.get("name")), own
     if not _is_heights(one):
         raise refused(one, called)
-    how = _fitting(said, (*OF_GRIDS, *OF_ARRAYS, "assume_crs"), "an array")
+    how = _fitting(reading, (*OF_GRIDS, *OF_ARRAYS, "assume_crs"), "an array")
     dem = from_array(one, crs=crs, warnings=warned, **{k: v for k, v in how.items() if k in OF_ARRAYS})
     return dem, own
 
@@ -301,13 +300,13 @@ def _is_window(given: Any) -> bool:
 
 
 def is_rows(given: Any) -> bool:
-    """Whether it is a list of rows of numbers."""
+    """Whether something is a list of rows of numbers."""
     rows = isinstance(given, list | tuple) and given and all(isinstance(row, list | tuple) for row in given)
     return bool(rows and not any(_is_window(row) for row in given) and np.asarray(given[0]).dtype.kind in "iufbc")
 
 
 def _is_heights(one: Any) -> bool:
-    """Whether it is a raster of some kind."""
+    """Whether something is a raster of some kind."""
     from orograph.dem.raster import Dem
 
     raster = isinstance(one, str | os.PathLike | Dem | HeightSource) or hasattr(one, "data_vars")
@@ -315,7 +314,7 @@ def _is_heights(one: Any) -> bool:
 
 
 def is_array_like(given: Any) -> bool:
-    """NumPy's array, or one convertible to NumPy's (Dask's, PyTorch's, CuPy's…)."""
+    """Whether something is a NumPy array or convertible to one (Dask's, PyTorch's, CuPy's…)."""
     return hasattr(given, "__array__") and hasattr(given, "dtype") and hasattr(given, "shape")
 
 
@@ -325,9 +324,9 @@ def _projected(crs: Any) -> bool:
     return bool(parsed_crs(crs).is_projected)
 
 
-def _fitting(said: dict[str, Any], names: Sequence[str], what: str, strict: bool = True) -> dict[str, Any]:
+def _fitting(reading: dict[str, Any], names: Sequence[str], what: str, strict: bool = True) -> dict[str, Any]:
     """The given options, all of which must be among ``names``."""
-    wrong = [f"`{name}`" for name in said if name not in names]
+    wrong = [f"`{name}`" for name in reading if name not in names]
     if wrong and strict:
         raise UsageError(f"{', '.join(wrong)} cannot be used with {what}.")
-    return {k: v for k, v in said.items() if k in names}
+    return {k: v for k, v in reading.items() if k in names}

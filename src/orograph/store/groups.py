@@ -1,7 +1,7 @@
-"""Heights in larger tasks: whole subtrees of the pyramid, each made by one task that hands little on.
+"""Heights in larger tasks: one task makes a whole subtree of the pyramid and passes little on.
 
 A group is a square of 2^s × 2^s shards of level 0, with all coarser shards that depend on nothing else: those of the
-levels up to s. (A group at the raster's end also has what extends beyond the last whole shard.) The levels above need
+levels up to s. (A group at the raster's end also includes the part beyond the last whole shard.) The levels above need
 only its samples of level s, which are in its shards, the sums of its means, and its tile tables. These are stored as
 one object, some 12 bytes for 4^(s+1) samples. Sums are added in the same order as in one process, so the bytes do not
 depend on groups. An interrupted group resumes shard by shard.

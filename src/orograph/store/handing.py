@@ -1,8 +1,8 @@
-"""How other processes get the source of a build: they open its files, and take over what took long to make of them.
+"""How other processes get the source of a build: they open its files, and reuse what took long to compute.
 
-Such arrays (the triangulation of points, an example with its similar places, what the headers of many files say) lie in
-``parts/handed/source`` while the store is built. Workers map them: those of one machine share the memory. Parts of a
-build leave them there for parts that begin later, and for the end.
+Such arrays (the triangulation of points, an example with its similar places, the headers of many files) are in
+``parts/handed/source`` while the store is built. Workers map them, so those of one machine share the memory. Parts of a
+build leave them there for later parts and for the final step.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from orograph.store.storage import FolderStorage, Storage
 
 PLACE = f"{HANDED}/source"
 LEFT = f"{PLACE}/left.json"
-"""What a part has left there, and of which files and options."""
+"""The arrays that a part has stored, with their files and options."""
 
 SEVERAL = 64
 """Files that workers need not open for their headers."""
@@ -39,7 +39,7 @@ class Again(Protocol):
     """Opens a source in another process; it can be pickled."""
 
     def open(self, made: Arrays) -> HeightSource:
-        """The source. Args: made: what took long to make."""
+        """The source. Args: made: the arrays that took long to compute."""
 
 
 class Files(NamedTuple):
@@ -53,14 +53,14 @@ class Files(NamedTuple):
 
 
 def again_of(raster: HeightSource) -> tuple[Again, Arrays] | None:
-    """What opens a source in another process, and with which arrays; None if its heights are in this process only."""
+    """How another process opens a source, and with which arrays; None if its heights are only in this process."""
     if (own := getattr(raster, "again", None)) is not None:
         found: tuple[Again, Arrays] = own()
         return found
-    said = getattr(raster, "recipe", lambda: None)()
-    if said is None:
+    recipe = getattr(raster, "recipe", lambda: None)()
+    if recipe is None:
         return None
-    files, options = said
+    files, options = recipe
     if named := getattr(raster, "named", ()):  # a manifest, so that workers need not open every file
         files, options = list(named), {**options, "skip_damaged": bool(getattr(raster, "skipped", ()))}
     here = [str(Path(path).absolute()) if Path(path).exists() else path for path in files]
@@ -81,7 +81,7 @@ def _headers(raster: Any, named: Sequence[str]) -> Arrays:
 
 
 def _parts(raster: HeightSource) -> list[Any]:
-    """A source, and what it is put together from."""
+    """A source, and the sources that it is made from."""
     return [raster, *getattr(raster, "sources", ())]
 
 
@@ -94,7 +94,7 @@ def leave(storage: Storage, made: Arrays) -> Kinds:
 
 
 def take(storage: Storage, kinds: Kinds) -> dict[str, NDArray[Any]]:
-    """The arrays that another process has left."""
+    """The arrays that another process has stored."""
     # (Not read-only, for which kernels would be compiled once more.)
     found: dict[str, NDArray[Any]] = {}
     for name, (dtype, shape) in kinds.items():
@@ -107,10 +107,10 @@ def take(storage: Storage, kinds: Kinds) -> dict[str, NDArray[Any]]:
 
 
 def leave_for_parts(storage: Storage, given: Any, options: Mapping[str, Any], raster: HeightSource) -> None:
-    """Leave for other parts of a build what took long to make of the files that were given, if anything did.
+    """Store, for other parts of a build, what took long to compute from the given files, if anything did.
 
     Args:
-        given, options: what ``raster`` was made of.
+        given, options: what ``raster`` was made from.
     """
     files, skipped = files_of(given), bool(getattr(raster, "skipped", ""))
     if files is None or skipped:
@@ -124,15 +124,15 @@ def leave_for_parts(storage: Storage, given: Any, options: Mapping[str, Any], ra
 def left_by_parts(
     storage: Storage, given: Any, options: Mapping[str, Any], progress: Progress
 ) -> HeightSource | None:  # fmt: skip
-    """A source, with what another part has left of it; None if none has, or files have changed since."""
-    begun = storage.get(PLAN) is not None  # which tells a bucket where in ``parts/`` to read
+    """A source from what another part has stored; None if no part has, or files have changed since."""
+    begun = storage.get(PLAN) is not None  # so that a bucket knows where in ``parts/`` to read
     left = _left(storage) if begun else {}
     files = files_of(given) if left else None
     if files is None or left["state"] != _state(files, options):
         return None
     kinds = {name: (dtype, tuple(shape)) for name, (dtype, shape) in left["kinds"].items()}
-    said = {name: value for name, value in options.items() if value is not None}
-    return opened(files, said, progress, take(storage, kinds))
+    reading = {name: value for name, value in options.items() if value is not None}
+    return opened(files, reading, progress, take(storage, kinds))
 
 
 def _left(storage: Storage) -> dict[str, Any]:
@@ -142,5 +142,5 @@ def _left(storage: Storage) -> dict[str, Any]:
 
 def _state(files: Sequence[str], options: Mapping[str, Any]) -> str:
     """A hash of the states of files on this disk, their names, and the options of reading."""
-    said = [state_of(path) for path in files], sorted((k, repr(v)) for k, v in options.items() if v is not None)
-    return hashlib.sha256(json.dumps(said).encode()).hexdigest()
+    state = [state_of(path) for path in files], sorted((k, repr(v)) for k, v in options.items() if v is not None)
+    return hashlib.sha256(json.dumps(state).encode()).hexdigest()

@@ -38,19 +38,19 @@ Part = tuple[int, int]
 """I and N: part I of N, from 1 to N."""
 
 
-def part_of(said: str | Sequence[int]) -> Part:
+def part_of(part: str | Sequence[int]) -> Part:
     """Parse a part: "3/64", or (3, 64).
 
     Raises:
         UsageError: it is not a part.
     """
-    if isinstance(said, str):
-        found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", said)
+    if isinstance(part, str):
+        found = re.fullmatch(r"\s*(\d+)\s*/\s*(\d+)\s*", part)
         numbers = [int(number) for number in found.groups()] if found else []
     else:
-        numbers = [int(number) for number in said]
+        numbers = [int(number) for number in part]
     if len(numbers) != 2 or not 1 <= numbers[0] <= numbers[1]:
-        raise UsageError(f"A part must be I/N with I from 1 to N, such as 3/64, not {said!r}.")
+        raise UsageError(f"A part must be I/N with I from 1 to N, such as 3/64, not {part!r}.")
     return numbers[0], numbers[1]
 
 
@@ -75,7 +75,7 @@ def build_part(
         final: where the store will be. storage: where it is built.
         plan: the build's plan. coding: how heights are encoded. jobs: threads.
         overwrite: whether the finished store may replace an existing one.
-        leave: leaves where the store is built what other parts need not make of the source.
+        leave: stores beside the build what other parts can reuse of the source.
 
     Raises:
         StoreError: a store, or another build, is there; or the sources have changed meanwhile.
@@ -111,8 +111,8 @@ def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite:
     there = storage.get(PLAN)
     if there is not None:
         if there != plan:
-            said = count_of(there)
-            other = f" It is in {said} parts." if said not in (None, count) else ""
+            parts = count_of(there)
+            other = f" It is in {parts} parts." if parts not in (None, count) else ""
             raise StoreError(
                 f"Another build of this store was begun, with other files or options.{other}", path=final.url,
                 remedy=f"Run the parts with its files and options, or remove {storage.url} to start again.",

@@ -19,7 +19,7 @@ DEFAULTS: dict[str, Any] = {"band": 1, "resampling": "bilinear"}
 """Defaults of the options that are not None by default."""
 
 LINES = "lines"
-"""The name of what one process tells another of the headers of many files."""
+"""The name of the lines with which a process passes on the headers of many files."""
 
 
 def inputs_of(source: HeightSource) -> dict[str, Any] | None:
@@ -60,8 +60,8 @@ def state_of(path: str) -> dict[str, Any]:
 
     file = on_disk(path)
     if not file.is_file():
-        if (told := known(path)) is not None:
-            return {"path": public(path), "size": told.size, "time_ns": told.time_ns, "etag": told.etag}
+        if (state := known(path)) is not None:
+            return {"path": public(path), "size": state.size, "time_ns": state.time_ns, "etag": state.etag}
         return {"path": absolute(path) if file.exists() else public(path), "size": None, "time_ns": None}
     found = file.stat()
     return {"path": absolute(path), "size": found.st_size, "time_ns": found.st_mtime_ns}
@@ -82,7 +82,7 @@ def opened(
     """The source of these files and options (``recipe`` lists them): points, or rasters.
 
     Args:
-        made: what another process has made of points (``PointRaster.made``), or ``LINES``: of a manifest of many files.
+        made: another process's result for points (``PointRaster.made``), or ``LINES`` of a manifest of many files.
 
     Raises:
         ReadError: a file cannot be read.
@@ -102,7 +102,7 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
     """What happened to the files since: a sentence for each that is gone or changed."""
     from orograph.dem.asking import asked
 
-    told = []
+    sentences = []
     files, geoid = inputs["files"], inputs.get("geoid")
     found = [(file, file["path"]) for file in (*files, *([geoid] if geoid else []))]
     for main, beside in zip(files, inputs.get("beside", ())):  # older stores list neither
@@ -113,10 +113,10 @@ def changes(inputs: Mapping[str, Any]) -> list[str]:
         now = state_of(file["path"])
         if "etag" in file:
             if (told_now := asked(file["path"])) is None:
-                continue  # (nothing tells)
+                continue  # (unknown)
             now = {"path": file["path"], **told_now._asdict()}
         if now["size"] is None:
-            told.append(f"{name} is gone.")
+            sentences.append(f"{name} is gone.")
         elif now != file:
-            told.append(f"{name} was changed.")
-    return told
+            sentences.append(f"{name} was changed.")
+    return sentences

@@ -188,8 +188,8 @@ class StoredLayer:
         return np.stack([band.decode(each) for band, each in zip(self.bands, codes, strict=True)])
 
     def __repr__(self) -> str:
-        said = ", ".join(f"{key} {value}" for key, value in self.options.items() if value is not None)
-        return f"<Layer {self.name!r} ({said}), {len(self.bands)} bands, {self.levels} levels>"
+        options = ", ".join(f"{key} {value}" for key, value in self.options.items() if value is not None)
+        return f"<Layer {self.name!r} ({options}), {len(self.bands)} bands, {self.levels} levels>"
 
 
 class Layers(Derived[dict[str, LayerRecord]]):
@@ -220,8 +220,8 @@ class Layers(Derived[dict[str, LayerRecord]]):
         nodes: Nodes = {GROUP: group()}
         data: dict[str, bytes] = {}
         for layer in what.values():
-            said = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
-            nodes[f"{GROUP}/{layer.name}"] = group(said)
+            attributes = {"long_name": layer.doc, "averaging": layer.averaging, "made_with": layer.options}
+            nodes[f"{GROUP}/{layer.name}"] = group(attributes)
             for level in range(level_count(at.grid.shape)):
                 transform = level_transform(at.grid, level, mean=True)
                 grid = Grid(mean_shape(at.grid.shape, level), transform, at.grid.crs)

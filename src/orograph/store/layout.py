@@ -112,7 +112,7 @@ class Record:
         lattices: the source lattices that it keeps.
         inputs: the files and options it was built with (``store.inputs``); None if not built from files.
         digests: of all its objects except the root.
-        attribution: whom the makers of its heights want to be credited.
+        attribution: the credits that the makers of its heights ask for.
         coding: how it encodes its heights; None: float32, lossless.
         version: for an updated store in a bucket: which version of it this is (``versions``); None: its objects
             lie under their plain keys.
@@ -182,8 +182,8 @@ class Record:
             StoreError: it has another format than this reader, or it fails its checksum.
         """
         _understood(record, url)
-        said = record.get("checksum")
-        if said != _checksum({key: value for key, value in record.items() if key != "checksum"}):
+        checksum = record.get("checksum")
+        if checksum != _checksum({key: value for key, value in record.items() if key != "checksum"}):
             raise StoreError(
                 "The record of the store in zarr.json fails its checksum.", path=url, remedy=rebuild(record, url)
             )
@@ -192,9 +192,9 @@ class Record:
         low, high = record["height_range"] or (math.nan, math.nan)
         grid = Grid((rows, cols), Affine(*record["transform"]), crs)
         derived = {
-            name: KINDS[name].parse(told, grid)
-            for name, told in record["derived"].items()
-            if name in KINDS and told["version"] == KINDS[name].version
+            name: KINDS[name].parse(entry, grid)
+            for name, entry in record["derived"].items()
+            if name in KINDS and entry["version"] == KINDS[name].version
         }
         return cls(
             grid,
@@ -233,7 +233,7 @@ def _understood(record: dict[str, Any], url: str) -> None:
 
 
 def rebuild(record: dict[str, Any], url: str) -> str:
-    """The command that rebuilds a store, as far as its record tells."""
+    """The command that rebuilds a store, as far as its record determines it."""
     inputs = record.get("inputs")
     files, options = "dem", ""
     if isinstance(inputs, dict):

@@ -170,9 +170,9 @@ def _try(path: Path, fd: int, url: str, doing: str, shared: str | None) -> _Floc
         raise _busy(url, _read(fd))
     # Changing from an exclusive to a shared lock releases it for a moment: another process may take it in between.
     locked = _locked(fd, fcntl.LOCK_SH)
-    said = _read(fd)
-    if said.get("shared", shared) != shared:
-        raise _busy(url, said, "Its plan is different.")
+    content = _read(fd)
+    if content.get("shared", shared) != shared:
+        raise _busy(url, content, "Its plan is different.")
     if locked and _named(path, fd):
         return _Flock(path, fd, True)
     time.sleep(PAUSE)  # another part of this build holds it exclusively while it begins or ends
@@ -214,15 +214,15 @@ def _write(fd: int, doing: str, shared: str | None) -> None:
 def _read(fd: int) -> dict[str, Any]:
     """What the holder wrote; empty if nothing yet."""
     try:
-        said = json.loads(os.pread(fd, 4096, 0))
+        content = json.loads(os.pread(fd, 4096, 0))
     except ValueError:
         return {}
-    return said if isinstance(said, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
-def _busy(url: str, said: dict[str, Any], why: str = "", remedy: str = "") -> StoreBusyError:
-    doing = said.get("doing", "at work on this store")
-    who = f" (process {said['pid']} on {said['host']})" if "pid" in said and "host" in said else ""
+def _busy(url: str, content: dict[str, Any], why: str = "", remedy: str = "") -> StoreBusyError:
+    doing = content.get("doing", "at work on this store")
+    who = f" (process {content['pid']} on {content['host']})" if "pid" in content and "host" in content else ""
     what = f"Another process is {doing}{who}. {why}".strip()
     return StoreBusyError(what, path=url, remedy=f"Wait until it is done. {remedy}".strip())
 
@@ -268,18 +268,18 @@ def _create(path: Path, data: bytes) -> None:
 
 def _owner(path: Path) -> dict[str, Any]:
     try:
-        said = json.loads(path.read_bytes())
+        content = json.loads(path.read_bytes())
     except (OSError, ValueError):
         return {}
-    return said if isinstance(said, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _given_up(path: Path) -> bool:
     """Whether the owner has ended, in which case its file is removed. Only one process at a time may decide this."""
 
     def ended() -> bool:
-        said = _owner(path)
-        return said.get("host") == host() and isinstance(said.get("pid"), int) and not running(said["pid"])
+        content = _owner(path)
+        return content.get("host") == host() and isinstance(content.get("pid"), int) and not running(content["pid"])
 
     if not ended():
         return False

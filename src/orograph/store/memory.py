@@ -128,8 +128,10 @@ class MemoryTerrain(Terrain):
         return self._once("nested", level, make) if level else self.heights
 
     def diamonds(self, kind: ErrorKind) -> tuple[list[Heights], list[Heights]]:
-        """Errors of a kind, and the radii that all kinds share, per level: rounded up as in a store, so that a raster
-        is drawn exactly like its store."""
+        """Errors of a kind, and the radii that all kinds share, per level.
+
+        They are rounded up as in a store, so that a raster is drawn exactly like its store.
+        """
 
         def make() -> tuple[list[Heights], list[Heights]]:
             from orograph.error.diamonds import diamonds

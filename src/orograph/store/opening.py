@@ -63,19 +63,19 @@ def terrain(
     max_memory = bytes_of(max_memory)
     progress = reporting(progress)
     check_names(reading, called)
-    said = {k: v for k, v in reading.items() if v is not None}
+    options = {k: v for k, v in reading.items() if v is not None}
     if isinstance(source, Terrain):
-        area = {name: said.pop(name) for name in OF_AREAS if name in said}
-        if said:
-            names = ", ".join(f"`{name}`" for name in said)
+        area = {name: options.pop(name) for name in OF_AREAS if name in options}
+        if options:
+            names = ", ".join(f"`{name}`" for name in options)
             raise UsageError(f"{names} cannot be used with a Terrain, which has already been read.")
         if not area:
             return source
         return part_of(source, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     files = files_of(source)
-    if files is not None and not {"transform", "name"} & set(said):
-        return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **said)
-    return in_memory(source_of(source, progress, called=called, **said), progress)
+    if files is not None and not {"transform", "name"} & set(options):
+        return prepare(files, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **options)
+    return in_memory(source_of(source, progress, called=called, **options), progress)
 
 
 def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Concatenate[Any, P], T]:

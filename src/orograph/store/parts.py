@@ -18,8 +18,11 @@ from orograph.store.digests import crc32c
 
 
 def pieces(arrays: Mapping[str, NDArray[Any]]) -> list[bytes]:
-    """Arrays as buffers to write one after the other: the length of the table of contents, the table, all samples, and
-    a checksum over all of them. Contiguous samples are not copied."""
+    """Arrays as buffers to write one after the other.
+
+    They are the length of the table of contents, the table, all samples, and a checksum over all of them. Contiguous
+    samples are not copied.
+    """
     contents = json.dumps([(name, array.dtype.str, array.shape) for name, array in arrays.items()]).encode()
     found: list[Any] = [len(contents).to_bytes(8, "little") + contents]
     check = crc32c(found[0])

@@ -121,8 +121,9 @@ def patch_colors(
 
 
 class PatchErrors:
-    """P′ of all patch diamonds of a terrain during its computation: blocks of P in any order, from any thread, then the
-    rest.
+    """The computation of P′ of all patch diamonds of a terrain.
+
+    Blocks of P come in any order, from any thread; then the rest follows.
 
     Args:
         terrain, legs: as for ``patch_errors``. table: the errors.
@@ -328,9 +329,9 @@ class Patches(Derived[dict[str, Any]]):
         return {**nodes, self.group: group({name: what[name] for name in ("legs", "kappa")})}, data
 
     def open(self, terrain: StoredTerrain, **options: Any) -> PatchTable:
-        said, kind = self.of(terrain.record), check_kind(options["error"])
-        here = said.get("legs"), said.get("kappa")
-        if here != (options["legs"], KAPPA) or kind not in said["errors"]:
+        entry, kind = self.of(terrain.record), check_kind(options["error"])
+        here = entry.get("legs"), entry.get("kappa")
+        if here != (options["legs"], KAPPA) or kind not in entry["errors"]:
             raise StoreError(
                 f"This store has no {kind} errors of patches with {options['legs']} segments.", path=terrain.url,
                 remedy="They can be made in memory: `orograph.store.patches.patch_errors`.",

@@ -1,5 +1,4 @@
-"""The folders of one store: STORE, STORE.partial in which it is built, and STORE.replaced, where the old store waits
-while it is replaced.
+"""The folders of one store: STORE, STORE.partial during a build, and STORE.replaced for a replaced store.
 
 A build ends with two renames, STORE to STORE.replaced and STORE.partial to STORE. If it is killed between them, all
 folders are complete and nothing is lost: the next command reports which folder holds what, and how to go on.

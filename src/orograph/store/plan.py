@@ -1,4 +1,4 @@
-"""The plan of a build, ``build.json``, and what it resumes, replaces or must leave alone where it is built."""
+"""The plan of a build, ``build.json``, and what it resumes, replaces or must not touch where it is built."""
 
 from __future__ import annotations
 

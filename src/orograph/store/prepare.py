@@ -70,11 +70,11 @@ def prepare(
     """
     from orograph.store.detect import is_store
 
-    said = {k: v for k, v in options.items() if v is not None}
+    reading = {k: v for k, v in options.items() if v is not None}
     if len(paths) == 1 and is_store(paths[0]):
-        area = {name: said.pop(name) for name in OF_AREAS if name in said}
-        if said:
-            names = ", ".join(f"`{k}`" for k in sorted(said))
+        area = {name: reading.pop(name) for name in OF_AREAS if name in reading}
+        if reading:
+            names = ", ".join(f"`{k}`" for k in sorted(reading))
             raise UsageError(
                 f"{names} cannot be used: a store is already built, and describes itself.",
                 path=paths[0],
@@ -86,11 +86,11 @@ def prepare(
         return part_of(terrain, area, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
     from orograph.dem.mosaic import Mosaic
 
-    if (points := points_of(paths, progress, said)) is not None:
+    if (points := points_of(paths, progress, reading)) is not None:
         for warning in getattr(points, "warnings", ()):
             progress.warn(warning)
         return in_memory(points, progress)
-    mosaic = Mosaic.open(paths, progress=progress, **options_of_rasters(said))
+    mosaic = Mosaic.open(paths, progress=progress, **options_of_rasters(reading))
     return of_mosaic(mosaic, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
 
 
@@ -178,7 +178,7 @@ def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
 
     terrain.samples = mosaic
     low, high = terrain.height_range
-    said: set[str] = set()
+    seen: set[str] = set()
     every = -(-len(mosaic.sources) // 64)  # some of many files are read
     for i, source in enumerate(mosaic.sources):
         file = source.raster if isinstance(source, Cut) else source
@@ -186,7 +186,7 @@ def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
             continue  # the heights are no longer those of the files
         windows = max(1, 16 // len(mosaic.sources)) if i % every == 0 else 0
         for text in doubtful_heights(cast(Source, source), low, high, windows):
-            if text not in said:
-                said.add(text)
+            if text not in seen:
+                seen.add(text)
                 progress.warn(text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
     return terrain

@@ -155,8 +155,10 @@ class _Copy:
         return what[0].place(what[1], self.digests)
 
     def _is_there(self, what: tuple[ArraySpec, Spot] | str, key: str) -> bool:
-        """Whether the correct object is there. Only the end of a shard is read: writes are atomic,
-        and the end has the checksums of all chunks."""
+        """Whether the correct object is there.
+
+        Only the end of a shard is read: writes are atomic, and the end has the checksums of all chunks.
+        """
         if isinstance(what, str):
             data = self.target.get(key)
             return data is not None and digest_of(data) == self.digests.listed[key]

@@ -85,8 +85,10 @@ class Finest:
         self.spec = self.spec_of(heights_spec, 0)
 
     def make(self, spot: Spot) -> tuple[Heights, Facts]:
-        """Read the heights, write the shard, compute its tiles, and store the result; returns the shard's samples and
-        the result."""
+        """Read the heights, write the shard, compute its tiles, and store the result.
+
+        Returns the shard's samples and the result.
+        """
         size = self.shard
         row, col = spot[0] * size, spot[1] * size
         heights, facts = self.read(spot)

@@ -121,8 +121,10 @@ def side_of(tree, outline, p, q):
 
 @inlined
 def on_side(tree, truth, outline, side, p, q):
-    """The vertex that halves an edge on an inner side: column, row, height, whether it is a Steiner point,
-    and whether there is room for it."""
+    """The vertex that halves an edge on an inner side.
+
+    Column, row, height, whether it is a Steiner point, and whether there is room for it.
+    """
     upright = side < 2
     one, two = (tree.y[p], tree.y[q]) if upright else (tree.x[p], tree.x[q])
     low, high = min(one, two), max(one, two)
@@ -207,8 +209,11 @@ def new_vertex(tree, truth, outline, t, u, by_deviation):
 
 @inlined
 def new_triangle(tree, truth, parent, other, a, b, c):
-    """Add a triangle. It inherits from its parent's list, and from that of the triangle across the parent's base, into
-    which it may reach because the split point need not lie on the base."""
+    """Add a triangle.
+
+    It inherits from its parent's list, and from that of the triangle across the parent's base, into which it may reach
+    because the split point need not lie on the base.
+    """
     t = tree.counts[TRIANGLES]
     tree.counts[TRIANGLES] = t + 1
     tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2] = a, b, c
@@ -267,7 +272,7 @@ def split(tree, truth, outline, t, by_deviation):
 
 @inlined
 def wanted(tree, outline, t, finest, smallest):
-    """Whether a leaf is too far from the truth, too large for being part ground, or must be split for a neighbour."""
+    """Whether a leaf is too far from the truth, too large for partial ground, or must be split for a neighbour."""
     if tree.child[t] >= 0:
         return False
     if asked(tree, outline, t):

@@ -53,11 +53,11 @@ def has_points(terrain: Terrain) -> bool:
     return terrain.has("points") or hasattr(terrain.samples, "surface")
 
 
-def finest_of(terrain: Terrain, asked: float) -> float:
+def finest_of(terrain: Terrain, finest: float) -> float:
     """The error in metres; 0 means a fraction of the sample spacing. Rounding of heights does not count."""
     low, high = terrain.height_range
     least = ROUNDING * max(abs(low), abs(high)) + ROUNDING
-    return max(asked or min(terrain.grid.spacing) / PART, least)
+    return max(finest or min(terrain.grid.spacing) / PART, least)
 
 
 class Grown(NamedTuple):
@@ -146,8 +146,7 @@ class Making:
         return (row * across + col, other) if 0 <= row < across and 0 <= col < across else None
 
     def _truth(self, block: int) -> tuple[Truth, tuple[int, int, int, int]]:
-        """The truth within a block; the sample spacing, the row length of its window, and the window's first column
-        and row."""
+        """The truth within a block; the sample spacing, and its window's row length, first column and first row."""
         west, east, north, south = self.bounds(block)
         if self.surface is not None:
             s = self.surface

@@ -48,8 +48,9 @@ def own_bounds(tree, east, north, error, radius):
 
 @kernel
 def saturate(places, parents, error, radius):
-    """Close errors and spheres over a hierarchy: the error of a vertex becomes at least those of its dependents, and
-    its sphere contains theirs.
+    """Close errors and spheres over a hierarchy.
+
+    The error of a vertex becomes at least those of its dependents, and its sphere contains theirs.
 
     Args:
         places: (v, 3) metres, vertices before their dependents. parents: (v, 2) int32, −1: none.

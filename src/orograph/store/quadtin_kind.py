@@ -28,17 +28,17 @@ if TYPE_CHECKING:
     from orograph.store.stored import StoredTerrain
 
 
-def checked_quadtin(asked: Any) -> tuple[float, str]:
+def checked_quadtin(quadtin: Any) -> tuple[float, str]:
     """Parse the error in metres and the splitting rule of a hierarchy.
 
     Raises:
         UsageError: they are invalid.
     """
-    pair = tuple(asked) if isinstance(asked, (tuple, list)) else ()
+    pair = tuple(quadtin) if isinstance(quadtin, (tuple, list)) else ()
     if len(pair) != 2 or not isinstance(pair[0], (int, float)) or not 0 <= pair[0] < math.inf or pair[1] not in SPLITS:
         raise UsageError(
             "'quadtin' must be the error of the finest triangles in metres, 0 or more, and one of "
-            f"{', '.join(SPLITS)}, not {asked!r}.", remedy='The default of quadtin is (0, "nearest").',
+            f"{', '.join(SPLITS)}, not {quadtin!r}.", remedy='The default of quadtin is (0, "nearest").',
         )  # fmt: skip
     return float(pair[0]), str(pair[1])
 
@@ -77,11 +77,11 @@ class QuadTinKind(Derived[dict[str, Any]]):
         return {**nodes, self.group: group({name: what[name] for name in ("asked", "finest")})}, data
 
     def open(self, terrain: StoredTerrain, **options: Any) -> StoredQuadTin:
-        found, asked = self.of(terrain.record), [options["finest"], options["split"]]
-        if found.get("asked") != asked:
+        found, wanted = self.of(terrain.record), [options["finest"], options["split"]]
+        if found.get("asked") != wanted:
             raise StoreError(
-                f"This store has no QuadTIN of finest={asked[0]:g} and split={asked[1]}.", path=terrain.url,
-                remedy=f"Build it with one (`orograph.build(..., quadtin=({asked[0]:g}, {asked[1]!r}))`), or let the "
+                f"This store has no QuadTIN of finest={wanted[0]:g} and split={wanted[1]}.", path=terrain.url,
+                remedy=f"Build it with one (`orograph.build(..., quadtin=({wanted[0]:g}, {wanted[1]!r}))`), or let the "
                        "method make it.",
             )  # fmt: skip
         return StoredQuadTin(terrain, found)

@@ -165,14 +165,14 @@ def _agreed(making: Making, rounds: Rounds) -> list[Grown]:
             grown[block] = Grown.from_arrays(found)
         todo = []
         for block in range(count):
-            asked, lacking = [], False
+            required, lacking = [], False
             for side in range(4):
                 other = making.beyond(block, side)
                 theirs = nothing[0] if other is None else _of(grown[other[0]]).sides[other[1]][0]
-                asked.append(theirs)
+                required.append(theirs)
                 lacking = lacking or bool(len(np.setdiff1d(theirs, _of(grown[block]).sides[side][0])))
-            if lacking and any(not np.array_equal(a, b) for a, b in zip(asked, forced[block])):
-                forced[block] = asked
+            if lacking and any(not np.array_equal(a, b) for a, b in zip(required, forced[block])):
+                forced[block] = required
                 todo.append(block)
     return [_of(one) for one in grown]
 
@@ -257,8 +257,11 @@ def _finished(
 def _put_top(
     making: Making, grown: list[Grown], by_corners: NDArray[np.float64], roots: NDArray[np.float64], summary: Summary
 ) -> None:  # fmt: skip
-    """Fill in the summary of the top. The error of a triangle there is at most the height range of the ground relative
-    to its corners, which are on the ground."""
+    """Fill in the summary of the top.
+
+    The error of a triangle there is at most the height range of the ground relative to its corners, which are on the
+    ground.
+    """
     layout = making.layout
     top = top_of(layout.across)
     row, col = top.order.T

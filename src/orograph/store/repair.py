@@ -161,8 +161,8 @@ class _Repair:
                 tins = TINS.of(self.record).get("legs")
                 found = CHUNKED.of(self.record)
                 chunked = Kind(*(found[name] for name in Kind._fields)) if found else None
-                asked = QUADTIN.of(self.record).get("asked")
-                quadtin = (asked[0], asked[1]) if asked else None
+                options = QUADTIN.of(self.record).get("asked")
+                quadtin = (options[0], options[1]) if options else None
                 threads = Threads(self.jobs, False)
                 make(self.record, Work(errors, self.mender, self.jobs, threads, self.progress, tins, chunked, quadtin))
         self._prove()
@@ -279,14 +279,14 @@ class _Repair:
 
 def _remedies(left: Iterable[str], record: Record, url: str) -> list[str]:
     """Calls that rebuild what cannot be repaired."""
-    told, others = [], set(left)
+    remedies, others = [], set(left)
     for kind in KINDS.values():
         keys = [key for key in left if key.partition("/")[0] == kind.group]
         remedy = kind.remedy(url, keys) if keys else None
         if remedy is not None:
-            told.append(remedy)
+            remedies.append(remedy)
             others -= set(keys)
     if others:
-        told.append(f"Give the files it was built from, as they were, or restore those files from a copy. "
+        remedies.append(f"Give the files it was built from, as they were, or restore those files from a copy. "
                     f"{rebuild(record.to_json(), url)}")  # fmt: skip
-    return told
+    return remedies

@@ -1,5 +1,4 @@
-"""The stage of a build that compares resampled heights with their sources: it keeps the source lattices and measures
-the loss.
+"""The stage of a build that keeps source lattices and measures the loss from resampling.
 
 One task per shard of a lattice: it writes the shard (unless the source is not to be kept) and compares its samples with
 the finished level 0. A sample counts if no finer lattice has a height for it and the terrain has a surface there (it
@@ -173,8 +172,9 @@ class Look(ShardStage[Facts]):
 def _compared(
     around: Heights, counts: NDArray[np.bool_], drawn: Heights, highest: Heights
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The result for the samples that count: (their number, the largest deviation, the largest loss of a summit, the
-    highest sample, its loss), and the sums of the squares of the deviations in each block.
+    """The result for the samples that count, and the sums of the squares of the deviations in each block.
+
+    The result is: their number, the largest deviation, the largest loss of a summit, the highest sample, its loss.
 
     Args:
         around: (rows + 2, cols + 2) samples, with their neighbours.

@@ -330,9 +330,9 @@ def record_of(data: bytes, url: str) -> Record:
 
 
 def _name(record: Record, storage: Storage) -> str:
-    """What a store is called: as its folder if it was made of files, whose names are those of tiles.
+    """The name of a store: its folder's if it was made from files, because files are named after tiles.
 
-    Heights in memory brought their own name; folders in the cache, and of what is being built, have none.
+    Heights in memory bring their own name; folders in the cache and of unfinished builds have none.
     """
     folder = PurePath(unquote(urlsplit(storage.url).path) if storage.remote else storage.url)
     nameless = folder.parent == cache_folder() or folder.name.startswith(".") or not folder.stem

@@ -117,7 +117,7 @@ class Errors(ShardStage[Surveyed]):
         row, col = spot[0] * self.area, spot[1] * self.area
         for (octave, name), values in codes.items():
             if octave == 0 and self.top:
-                continue  # written already
+                continue  # already written
             if octave < self.top:
                 self.canvases[octave, name].add(row >> octave, col >> octave, values)
             else:

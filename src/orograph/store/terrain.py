@@ -103,8 +103,9 @@ class TileTable:
 
 @dataclass(frozen=True, slots=True)
 class Resampled:
-    """The loss of a terrain when it was resampled (``store.resampling`` has the definitions); metres, nan
-    where nothing could be compared.
+    """The loss of a terrain when it was resampled, metres; nan where nothing could be compared.
+
+    ``store.resampling`` has the definitions.
 
     Attributes:
         rms, largest: of the deviations of the surface from its original samples, where there is a surface.

@@ -1,8 +1,8 @@
-"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds. The building process
-makes levels of a single task itself.
+"""TINs made by tasks: a stage for each band of a level, whose tasks make some of its diamonds.
 
-What tasks need from the levels below lies in ``parts/``: which diamonds to make, and the marks on their legs. The
-building process writes it before a stage begins, and combines marks, errors and spheres itself.
+The building process makes levels of a single task itself. Input from the levels below is in ``parts/``: which diamonds
+to make, and the marks on their legs. The building process writes it before a stage begins, and combines marks, errors
+and spheres itself.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Bands:
             self._level = ShardWriter(self.writer.storage, self.writer.digests.keyed)
         given = Given(building, band, self._level)
         stage = TinStage(self.terrain, self.writer, self.legs, self._count, given)
-        alone = building.bands(band.octave) == 1 and len(stage.tasks()) <= 1  # not worth handing over
+        alone = building.bands(band.octave) == 1 and len(stage.tasks()) <= 1  # too small to hand over
         (Threads(1, True) if alone else self.executor).run(stage, progress)
         self._count += 1
 
@@ -97,22 +97,22 @@ class TinStage(TerrainStage[Made]):
         source = below(band.octave, band.kind, self.legs)
         if source is not None and band.first:
             level.array(self._spec(source, band.kind), building.marks[source])
-        told = {"octave": band.octave, "kind": band.kind, "digests": level.digests.to_json()}
+        facts = {"octave": band.octave, "kind": band.kind, "digests": level.digests.to_json()}
         arrays: dict[str, NDArray[Any]] = {
             "rows": self._rows,
             "cols": self._cols,
-            "told": np.frombuffer(dumps(told), np.uint8),
+            "told": np.frombuffer(dumps(facts), np.uint8),
         }
         self.writer.keep(self._key(), pack(arrays))
 
     def _read(self) -> tuple[Integers, Integers, MarksOf]:
-        """Read the diamonds, and a reader of the marks below, as the building process has handed them over."""
+        """Read the diamonds and a reader of the marks below from the building process."""
         kept = unpack(self.writer.storage.get(self._key()) or b"")
-        told = json.loads(kept["told"].tobytes())
-        octave, kind = told["octave"], told["kind"]
+        facts = json.loads(kept["told"].tobytes())
+        octave, kind = facts["octave"], facts["kind"]
         source = below(octave, kind, self.legs)
         spec = self._spec(octave if source is None else source, kind)
-        digests = Digests.from_json(told["digests"], self.writer.digests.keyed)
+        digests = Digests.from_json(facts["digests"], self.writer.digests.keyed)
         array = ShardedArray(spec, self.writer.storage, digests, ChunkCache(CACHE), 1)
         return kept["rows"], kept["cols"], lambda octave, *window: array.read(*window)
 

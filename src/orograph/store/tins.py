@@ -34,7 +34,7 @@ ALL_LEGS = (4, 8, 16, 32)
 """The allowed values."""
 
 FINER = 2
-"""log2 of the samples of the lattice along a leg per sample of a regular patch."""
+"""log2 of the lattice's samples along a leg for each sample of a regular patch."""
 
 MOST_OCTAVE = 11
 """Diamonds of coarser octaves have no TINs: their windows would exceed 4097 samples a side."""

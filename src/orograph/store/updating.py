@@ -55,18 +55,18 @@ Window = tuple[int, int, int, int]
 """Rows and columns, half-open."""
 
 
-def check_updatable(final: Storage, said: dict[str, bool]) -> None:
+def check_updatable(final: Storage, ways: dict[str, bool]) -> None:
     """Raise UsageError if an update is combined with options that it excludes, or is not possible there.
 
     Args:
         said: whether other kinds of builds are requested, by name.
     """
-    if said.pop("part"):
+    if ways.pop("part"):
         raise UsageError(
             "`update` and `part` exclude each other: the remaining work depends on what one process takes over "
             "first.", remedy="Use `workers` or `dask`.",
         )  # fmt: skip
-    for other, given in said.items():
+    for other, given in ways.items():
         if given:
             raise UsageError(f"`update` and `{other}` exclude each other.")
     if not isinstance(final, FolderStorage | BucketStorage):
@@ -180,7 +180,7 @@ def seeded(
 
 
 def _unlike(record: Record, parts: bool, raster: HeightSource, coding: Coding | None) -> str:
-    """Why nothing of a store with an equal plan can be reused; empty if something can."""
+    """Why nothing can be reused of a store with an equal plan; empty if something can."""
     if not parts:
         return "it was built without `update`, and keeps no parts"
     before = record.coding

@@ -49,8 +49,8 @@ class Edition(NamedTuple):
     parts: str
 
     @classmethod
-    def from_json(cls, said: dict[str, Any]) -> Edition:
-        return cls(said["number"], tuple(said["kept"]), said["parts"])
+    def from_json(cls, entry: dict[str, Any]) -> Edition:
+        return cls(entry["number"], tuple(entry["kept"]), entry["parts"])
 
 
 def number(storage: Storage) -> int | None:
@@ -73,8 +73,10 @@ def folder_of(path: str) -> str:
 
 
 def version_of(storage: BucketStorage) -> BucketStorage:
-    """Return what an address in a bucket means: ``STORE@3`` is STORE itself if that is version 3, or an older version.
-    A store that really has this name takes precedence."""
+    """The store that an address in a bucket means: ``STORE@3`` is STORE if that is version 3, else an older version.
+
+    A store that really has this name takes precedence.
+    """
     url, _ = storage.named()
     name = VERSION.fullmatch(url.rpartition("/")[2]) if storage.prefix else None
     if name is None or storage.exists(ROOT):

@@ -114,12 +114,12 @@ class Watch:
 
 def _ground(record: Record) -> dict[str, Any]:
     """The part of a record that stays the same as long as the terrain does."""
-    said = record.to_json()
+    json = record.to_json()
     groups = {kind.group for kind in KINDS.values() if kind.later}
     digests = {
         path: digest
-        for path, digest in said["digests"].items()
+        for path, digest in json["digests"].items()
         if path.partition("/")[0] not in groups and not path.endswith("zarr.json")
     }
-    derived = {name: told for name, told in said["derived"].items() if not KINDS[name].later}
-    return {**said, "digests": digests, "derived": derived, "checksum": None, "version": None}
+    derived = {name: entry for name, entry in json["derived"].items() if not KINDS[name].later}
+    return {**json, "digests": digests, "derived": derived, "checksum": None, "version": None}

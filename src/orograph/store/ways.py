@@ -34,13 +34,13 @@ def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, worker
         raise UsageError("A build either resumes or overwrites, not both.")
     if workers is not None and workers < 1:
         raise UsageError(f"A build needs at least one worker, not {workers}.")
-    said = {
+    given = {
         "`part`": part is not None, "`finish`": finish, "`resume`": resume, "`workers`": workers is not None,
         "`dask`": dask is not None,
     }  # fmt: skip
     apart = [("`part`", other) for other in ("`finish`", "`resume`", "`workers`", "`dask`")]
     for one, other in (*apart, ("`workers`", "`dask`")):
-        if said[one] and said[other]:
+        if given[one] and given[other]:
             raise UsageError(f"{one} and {other} exclude each other.")
 
 

@@ -1,5 +1,4 @@
-"""The codecs *compact* and *smallest* for zarr-python, which finds them by their entry points wherever Orograph is
-installed."""
+"""The codecs *compact* and *smallest* for zarr-python, which finds them by their entry points."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Colours over the ground by example: an orthophoto and the ground it shows determine how other ground looks.
+"""Colours over the ground by example: an orthophoto and the ground it shows determine the look of other ground.
 
-Coordinates are chosen as those of detail by example (``steered``): places begin where slopes and curvature are those of
-the example's ground, and are corrected by what the photo looks like around them, which is its first principal component
-(S. Lefebvre, H. Hoppe, *Parallel controllable texture synthesis*, 2005, project colours likewise). A place has the
-colour of its coordinate. Any window is the same to the bit wherever it begins.
+Coordinates are chosen as for detail by example (``steered``): places begin where slopes and curvature match the
+example's ground, and are corrected by the photo around them, represented by its first principal component (as in S.
+Lefebvre, H. Hoppe, *Parallel controllable texture synthesis*, 2005). A place gets the colour at its coordinate. Any
+window is the same to the bit wherever it begins.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from orograph.synthesis.terrain import example
 from orograph.synthesis.windows import Range
 
 BEGIN = 3
-"""The least number of doublings between the finest places and those that colours begin with: more makes larger pieces,
-which follow the ground less closely."""
+"""Minimum doublings from the first places of colours to the finest: more give larger pieces, which fit the ground less
+well."""
 
 LIKE = 2
-"""By what factor the ground counts more than for detail."""
+"""Weight of the ground, relative to its weight for detail."""
 
 
 class Every:
@@ -50,12 +50,14 @@ class Every:
 
 
 class ByAspect(Steering):
-    """Steering by slopes as they are in mirror images of the example, too: a photo has its light from one side, and
-    what grows on a slope hangs on its aspect."""
+    """Steering by slopes as they are, in mirror images of the example too.
+
+    A photo has its light from one side, and vegetation depends on the aspect of a slope.
+    """
 
     def _guide(self, shape: tuple[Floats, Floats, Floats]) -> Guide:
         known = np.clip(LIKE * super()._guide(shape).astype(np.int32), -1023, 1023).astype(np.int16)
-        # (The first two would change their signs.)
+        # (Otherwise the first two would change their signs.)
         return np.concatenate([np.zeros((*known.shape[:2], 2), np.int16), known], -1)
 
 
@@ -63,10 +65,10 @@ class ColoursByExample:
     """Colours for a terrain, read by windows: (rows, cols, 4) uint8, red, green, blue, and 0 where there is no ground.
 
     Args:
-        photo: an image with three bands or more of the example. ground: its heights, whatever ``orograph.terrain``
+        photo: an image of the example with at least three bands. ground: its heights, whatever ``orograph.terrain``
             takes, at most ``exemplar.MOST`` samples, none missing.
-        over: what is coloured, whatever ``orograph.terrain`` takes.
-        seed: another number, other colours. jobs: threads. progress: gets the progress of the preparation.
+        over: the terrain to colour, whatever ``orograph.terrain`` takes.
+        seed: a different number gives different colours. jobs: threads. progress: gets the progress of the preparation.
 
     Attributes:
         grid: where pixels lie: about as far apart as the samples of the example's ground, at samples of ``over``.
@@ -165,6 +167,6 @@ def _component(colours: NDArray[np.uint8], name: str) -> NDArray[np.float64]:
     flat -= flat.mean(0)
     if not flat.any():
         raise UsageError("A photo of a single colour cannot serve as an example.", path=name, remedy="Take another.")
-    # Eigenvectors have either sign; which one does not matter to distances.
+    # The sign of an eigenvector is arbitrary, and does not affect distances.
     _, axes = np.linalg.eigh(flat.T @ flat)
     return np.asarray(np.rint(64 * (flat @ axes[:, -1])).reshape(colours.shape[:2]) / 64)

@@ -1,7 +1,8 @@
 """Detail beyond the data on the GPU: the same heights, to the bit, as ``refining`` and ``steered`` make on the CPU.
 
-Tiles are made one by one and read back, so that whoever reads the terrain has them. What takes long is done by shaders
-(``synthesis.wgsl``, ``refining.wgsl``); guides, roughness and gains, which are of the data's few samples, are NumPy's.
+Tiles are made one by one and read back for all readers of the terrain. The slow parts run in shaders
+(``synthesis.wgsl``, ``refining.wgsl``); guides, roughness and gains, which come from the few samples of the data, are
+computed with NumPy.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from orograph.synthesis.steered import TRIES, Guide, Steered, Steering
 from orograph.synthesis.windows import Range
 
 WIDEST = 1 << 15
-"""Samples along a side of an exemplar, so that a random place in its plane takes 32 bits."""
+"""Maximum samples along a side of an exemplar, so that a random place in its plane takes 32 bits."""
 
 
 class FractalOnGpu(Fractal):
@@ -94,7 +95,7 @@ class SteeringOnGpu(Steering):
         return self.device.read_buffer(chosen, np.int32).reshape(*wide.shape, 2)
 
     def _place(self, pipeline: Any, level: int, r: Range, before: Any, chosen: Any, guide: Any, **values: int) -> None:
-        """One step of coordinates; what it does not read may be None."""
+        """One step of coordinates; inputs that it does not read may be None."""
         n = self.at(level)
         resources = {
             "before": self._none if before is None else before, "chosen": chosen, "features": self._features[n],
@@ -121,7 +122,7 @@ class SteeredOnGpu(Steered):
 def _given(
     steps: Steps, coarse: Integers, above: Range, scale: Spread, shift: int
 ) -> tuple[dict[str, Any], dict[str, int]]:
-    """What every doubling has: its resources, and its numbers."""
+    """What every doubling needs: its resources, and its numbers."""
     own = scale.own
     numbers = {
         "row0": above.row0, "col0": above.col0, "from_width": above.shape[1], "doublings": scale.doublings,

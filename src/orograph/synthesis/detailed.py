@@ -1,8 +1,8 @@
-"""A terrain with detail beyond its data, for pictures: finer levels below the terrain's own, made on reading.
+"""A terrain with detail beyond its data, for pictures: finer levels below the terrain's own, made when they are read.
 
-Level k of it is the terrain's level 0, of which all samples stay as they are; levels 0 to k − 1 are doublings of it
-(``refining``). Its tables, which say how coarse each tile may be drawn, are estimates: nothing is promised of ground
-that nobody has measured. Pictures read it, and nothing else does.
+Its level k is the terrain's level 0, whose samples stay unchanged; levels 0 to k − 1 are doublings of it
+(``refining``). Its tables, which say how coarsely each tile may be drawn, are estimates: there is no promise for ground
+that nobody has measured. Only pictures read it.
 """
 
 from __future__ import annotations
@@ -33,24 +33,24 @@ if TYPE_CHECKING:
     from orograph.gpu.device import Device
 
 MOST = 10
-"""The most doublings."""
+"""Maximum doublings."""
 
 TILES = 1 << 21
-"""The most tiles of the finest level."""
+"""Maximum tiles of the finest level."""
 
 SEEN = 0.25
-"""Metres that detail is worth at most, of the spacing of samples: of half a pixel where these are two pixels apart."""
+"""Maximum height of detail, as a part of the samples' spacing: half a pixel if they are two pixels apart."""
 
 FALL = 0.5
-"""By which residuals are taken to fall from level to level, at least, where it is told how large they may be."""
+"""Assumed minimum factor by which residuals fall from level to level, to estimate how large they may be."""
 
 
 class Detailed(Terrain):
-    """See the module.
+    """A terrain with detail (see the module).
 
     Args:
         terrain: the data. doublings: how many, at least 1. seed: a different number gives different detail.
-        steering: detail by example; None: fractal. What is finer than the example is fractal, too.
+        steering: detail by example; None: fractal. Levels finer than the example are fractal too.
         device: computes it; None: the CPU. The result is the same.
     """
 
@@ -92,7 +92,7 @@ class Detailed(Terrain):
             return self.data.read(level - self.doublings, row0, row1, col0, col1)
         if row0 == row1 or col0 == col1:
             return np.zeros((row1 - row0, col1 - col0), np.float32)
-        # The last sample of a level repeats the raster's last one where it falls beyond it.
+        # The last sample of a level repeats the raster's last one if it falls beyond it.
         step, (rows, cols) = 1 << level, self.grid.shape
         lattice, finer = self._lattices[self.doublings - level], self.doublings - level
         inner = Range(row0, min(row1, (rows - 1) // step + 1), col0, min(col1, (cols - 1) // step + 1))
@@ -107,7 +107,7 @@ class Detailed(Terrain):
         return np.pad(heights, ((0, row1 - inner.row1), (0, col1 - inner.col1)), mode="edge")
 
     def read_mean(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """Means about the middle of each block: of the nearest four samples of the level; level 0 is the raster."""
+        """Means around the middle of each block: of the level's nearest four samples; level 0 is the raster."""
         self.check_window(self.mean_shape(level), row0, row1, col0, col1)
         if level == 0 or row0 == row1 or col0 == col1:
             return self.read(level, row0, row1, col0, col1)
@@ -115,7 +115,7 @@ class Detailed(Terrain):
             shape, t = self.shape(level), 0.5
             found = self.read(level, row0, min(row1 + 1, shape[0]), col0, min(col1 + 1, shape[1]))
         else:
-            # Blocks of the data begin at their first sample, those of this terrain around it.
+            # Blocks of the data begin at their first sample; those of this terrain surround it.
             own = level - self.doublings
             shape, t = self.data.mean_shape(own), (1 - 2.0**-self.doublings) / 2.0 ** (own + 1)
             found = self.data.read_mean(own, row0, min(row1 + 1, shape[0]), col0, min(col1 + 1, shape[1]))
@@ -131,7 +131,7 @@ class Detailed(Terrain):
         return name == "patches" or self.data.has(name, **options)
 
     def derived(self, name: str, **options: Any) -> Any:
-        """Diamonds, and patches of them: those of the data (``detailed_diamonds``)."""
+        """Diamonds and their patches: those of the data (``detailed_diamonds``)."""
         if name == "diamonds":
             return DiamondsOfData(self, self.data, self.doublings, **options)
         if name == "patches":
@@ -140,7 +140,7 @@ class Detailed(Terrain):
         return super().derived(name, **options)
 
     def tiles(self, level: int) -> TileTable:
-        """Estimates: the terrain's own tables, and what detail may add."""
+        """Estimates: the terrain's own tables, and the possible effect of detail."""
         if level not in self._tables:
             self._tables[level] = self._estimated(level)
         return self._tables[level]
@@ -173,7 +173,7 @@ def _fractal(base: Lattice, doublings: int, level: int, seed: int, device: Devic
 
 
 def _largest(terrain: Terrain) -> float:
-    """How far samples lie from the coarser level's surface: a high percentile of the tiles' errors, metres."""
+    """The distance of samples from the coarser level's surface: a high percentile of the tiles' errors, metres."""
     level = min(1, terrain.levels - 1)
     if level:
         errors = terrain.tiles(1).error
@@ -207,7 +207,7 @@ def room_for(terrain: Terrain, most: int = TILES) -> int:
 
 
 def _nearest(terrain: Terrain, view: View, exaggeration: float) -> float:
-    """Metres from the eye to the nearest sample about it, in stretched space."""
+    """Metres from the eye to about the nearest sample, in stretched space."""
     boxes = tile_boxes(terrain, 0)
     far = distances(terrain, view, exaggeration, boxes)
     least = float(np.nanmin(np.where(np.isfinite(boxes.low), far, np.inf)))
@@ -232,7 +232,7 @@ def steering_of(
     """Detail by example for a terrain, and the example's name.
 
     Args:
-        given: the example, whatever ``orograph.terrain`` takes. device: that makes it; None: the CPU does.
+        given: the example, whatever ``orograph.terrain`` takes. device: computes it; None: the CPU.
 
     Raises:
         UsageError: it is not an example (``Exemplar.of``), or not finer than the terrain.
@@ -248,7 +248,7 @@ def steering_of(
             path=source.name, remedy="Use lidar, or omit the example.",
         )  # fmt: skip
     exemplar = Exemplar.of(example(source), source.name, None, progress)
-    # Of coarser terrain, what is coarser than the example's own levels is its shape at its coarsest.
+    # On coarser terrain, the example's coarsest level stands in for levels coarser than its own.
     doublings = min(doublings, exemplar.top)
     numbers = doublings, spacing / (own * 2.0**doublings), seed
     if device is None:

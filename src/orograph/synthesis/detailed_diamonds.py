@@ -1,8 +1,9 @@
-"""Diamonds of a terrain with detail: those of its data. What lies below has no error, so no triangle is split there.
+"""Diamonds of a terrain with detail: those of its data. Levels below have no error, so no triangle is split there.
 
-Methods that refine by errors so draw the data and no detail, of which no bound is known; the GPU's renderer, which
-draws detail by rays, tells by them what is in view. An entry of a level lies at the same place of the ground as one of
-the data's, ``doublings`` levels lower; the top level of small data, a square of several octaves, is coarser there.
+Methods that refine by errors therefore draw the data without detail, because no bound of the detail is known; the GPU's
+renderer, which draws detail by rays, uses them to find what is in view. An entry of a level lies at the same place of
+the ground as one of the data's, ``doublings`` levels lower; the top level of small data, a square of several octaves,
+is coarser there.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ class Shifted:
     """A table of the data's diamonds, read as one of the terrain with detail.
 
     Args:
-        read: of a level and window of the data. first: the coarsest level of the data that has none of them.
-        nothing: what stands where there is none.
+        read: reads a level's window of the data. first: the coarsest level of the data that has none.
+        nothing: the value where there is none.
     """
 
     def __init__(self, terrain: Terrain, data: Terrain, doublings: int, read: Table, first: int, nothing: float):

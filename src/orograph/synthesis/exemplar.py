@@ -1,9 +1,9 @@
 """A prepared example terrain: its heights as integers, smoothed level by level, and its similar places.
 
-The Gaussian stack has every level at full resolution (Lefebvre & Hoppe 2005, §3.1): level L is the exemplar, level
-l − 1 is level l smoothed by the binomial filter 1 4 6 4 1 with its taps 2^(L − l) samples apart. What is compared at
-level l is how far a place lies above the level three octaves coarser, in 1/341 of the root mean square: the shape of
-the ground at that scale, not how high it is. All of it is integer arithmetic, and the same on every machine.
+The Gaussian stack has every level at full resolution (Lefebvre & Hoppe 2005, §3.1): level L is the exemplar, and level
+l − 1 is level l smoothed by the binomial filter 1 4 6 4 1 with its taps 2^(L − l) samples apart. The quantity compared
+at level l is the height of a place above the level three octaves coarser, in 1/341 of the root mean square: the shape
+of the ground at that scale, not its absolute height. Everything is integer arithmetic, and the same on every machine.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from orograph.progress import SILENT, Progress
 from orograph.synthesis.similar import similar_places
 
 MOST = 1 << 22
-"""Samples of an exemplar; one takes some 100 bytes for each."""
+"""Maximum samples of an exemplar, which takes some 100 bytes per sample."""
 
 SMALLEST = 32
 """The fewest samples along a side of an exemplar."""
 
 OCTAVES = 3
-"""Between a level and the one that its heights are compared above."""
+"""Octaves between a level and the coarser one from which its heights are measured."""
 
 ROUNDS = 6
-"""Of propagation in the search for similar places."""
+"""Rounds of propagation in the search for similar places."""
 
 Integers = NDArray[np.int32]
 Features = NDArray[np.int16]
@@ -37,12 +37,12 @@ Features = NDArray[np.int16]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exemplar:
-    """Make one with ``Exemplar.of``.
+    """A prepared example; make one with ``Exemplar.of``.
 
     Attributes:
         stack: of each level, coarsest first, heights (rows, cols) int32 in ``quantum`` metres above ``base``.
-        features: of each level, what is compared, (rows, cols) int16, within ±1023.
-        similar: of each level, for each place another like it, (rows, cols, 2) int16: x, y.
+        features: of each level, the compared quantity, (rows, cols) int16, within ±1023.
+        similar: of each level, for each place a similar one, (rows, cols, 2) int16: x, y.
         quantum, base: metres.
     """
 
@@ -60,7 +60,7 @@ class Exemplar:
         """Prepare heights, (rows, cols) in metres.
 
         Args:
-            relative: compare heights above coarser levels; else as they are, which suits colours.
+            relative: compare heights above coarser levels; otherwise compare values directly, which suits colours.
 
         Raises:
             UsageError: they are too few or too many, some are missing, or all are equal.
@@ -89,7 +89,7 @@ class Exemplar:
 
     @property
     def top(self) -> int:
-        """The finest level, whose places are as far apart as the exemplar's samples."""
+        """The finest level, whose places have the spacing of the exemplar's samples."""
         return len(self.stack) - 1
 
     def step(self, level: int) -> int:
@@ -98,7 +98,7 @@ class Exemplar:
 
 
 def check_size(shape: tuple[int, ...], name: str) -> None:
-    """Refuse an example with too few or too many samples.
+    """Raise UsageError for an example with too few or too many samples.
 
     Raises:
         UsageError: see ``Exemplar.of``.
@@ -116,7 +116,7 @@ def check_size(shape: tuple[int, ...], name: str) -> None:
 
 
 def check(heights: NDArray[np.floating], name: str) -> None:
-    """Refuse heights that cannot serve as an example.
+    """Raise UsageError for heights that cannot serve as an example.
 
     Raises:
         UsageError: see ``Exemplar.of``.
@@ -143,7 +143,7 @@ def smoothed(heights: Integers, step: int) -> Integers:
 
 
 def _features(stack: list[Integers], level: int, octaves: int) -> Features:
-    """How far places lie above the level so many octaves coarser; above the mean where that is all there are."""
+    """Heights of places above the level some octaves coarser; above the mean if there are no more octaves."""
     fine = stack[level].astype(np.int64)
     band = fine - (stack[max(level - octaves, 0)] if level and octaves < len(stack) - 1 else fine.sum() // fine.size)
     spread = max(1, math.isqrt(int((band * band).sum()) // band.size))

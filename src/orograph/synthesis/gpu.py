@@ -18,11 +18,11 @@ _FIELDS = (
     "top", "left", "height", "width", "row0", "col0", "from_width", "rows", "cols", "step", "reach", "seed", "kappa",
     "even_row", "even_col", "inset", "doublings", "shift", "own_row0", "own_col0", "own_rows", "own_cols",
 )  # fmt: skip
-"""Of ``Run`` in ``shaders/synthesis_plane.wgsl``."""
+"""The fields of ``Run`` in ``shaders/synthesis_plane.wgsl``."""
 
 
 class Steps:
-    """Has steps done by a device, whose order is that of the calls.
+    """Runs steps on a device in the order of the calls.
 
     Args:
         shape: of the exemplar.
@@ -34,16 +34,16 @@ class Steps:
     def dispatch(
         self, program: Program, pipeline: Any, r: Range, resources: dict[str, Any], values: dict[str, int]
     ) -> None:
-        """Do one for every place of a window.
+        """Run a step for every place of a window.
 
         Args:
-            resources: of the program, but for ``run``, which is made of ``values``, the window and the exemplar.
+            resources: of the program, except ``run``, which is made from ``values``, the window and the exemplar.
         """
         rows, cols = self.shape
         values = values | {
             "top": r.row0, "left": r.col0, "height": r.shape[0], "width": r.shape[1], "rows": rows, "cols": cols
         }  # fmt: skip
-        run = np.array([values.get(name, 0) for name in _FIELDS], np.int64).astype(np.int32)  # seeds go round
+        run = np.array([values.get(name, 0) for name in _FIELDS], np.int64).astype(np.int32)  # seeds wrap around
         group = program.bind({"run": self.device.buffer(run, "UNIFORM"), **resources})
         encoder = self.device.handle.create_command_encoder()
         step = encoder.begin_compute_pass()
@@ -54,7 +54,7 @@ class Steps:
         self.device.queue.submit([encoder.finish()])
 
     def held(self, values: NDArray[Any]) -> Any:
-        """A buffer of integers."""
+        """A buffer with these integers."""
         return self.device.buffer(np.ascontiguousarray(values, np.int32), "STORAGE | COPY_SRC", "an example of terrain")
 
     def empty(self, r: Range, channels: int) -> Any:
@@ -66,7 +66,7 @@ class EndlessOnGpu:
     """Windows of an endless terrain, made on a device.
 
     Args:
-        endless: what is made. device: where.
+        endless: the terrain. device: makes it.
 
     Raises:
         DeviceLimitError: the exemplar is too large for the device.
@@ -83,13 +83,13 @@ class EndlessOnGpu:
         self._similar = [self._steps.held(s) for s in endless.exemplar.similar]
 
     def coordinates(self, window: Range, level: int | None = None) -> NDArray[np.int32]:
-        """As ``Endless.coordinates``."""
+        """See ``Endless.coordinates``."""
         level = self.endless.check(level)
         *_, (_, places, _) = self._levels(window, level, lambda *_: None)
         return self.device.read_buffer(places, np.int32).reshape(*window.shape, 2)
 
     def heights(self, window: Range, level: int | None = None) -> Integers:
-        """As ``Endless.heights``."""
+        """See ``Endless.heights``."""
         level = self.endless.check(level)
         *_, (_, _, heights) = self._levels(window, level, self._raised)
         return self.device.read_buffer(heights, np.int32).reshape(window.shape)

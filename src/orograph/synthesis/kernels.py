@@ -2,10 +2,10 @@
 
 They are those of S. Lefebvre and H. Hoppe, *Parallel controllable texture synthesis* (SIGGRAPH 2005, §3).
 
-A coordinate is a place (x, y) in the exemplar's *plane*: the exemplar, (rows, cols), beside its mirror images, (2 rows,
-2 cols) that repeat for ever. ``shaders/synthesis.wgsl`` does the same on the GPU, ``reference.py`` in plain NumPy: all
-three agree in every bit, which is why there is no division and no floating point here. Windows of coordinates are int32
-(h, w, 2): x, y. Distances are at most ``FARTHEST`` and fit 32 bits with their weights.
+A coordinate is a place (x, y) in the exemplar's *plane*: the exemplar, (rows, cols), with its mirror images, (2 rows, 2
+cols), repeated for ever. ``shaders/synthesis.wgsl`` does the same on the GPU, and ``reference.py`` in plain NumPy. All
+three agree in every bit, so there is no division and no floating point here. Windows of coordinates are int32 (h, w,
+2): x, y. Distances are at most ``FARTHEST`` and fit 32 bits with their weights.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from orograph._numba import inlined, kernel
 from orograph.dem.noise import hashed
 
 PASSES = 2
-"""Corrections of a level, at most, each in four ordered sub-passes (§3.3)."""
+"""Maximum corrections of a level, each in four ordered sub-passes (§3.3)."""
 
 MARGIN = 2 * 4 * PASSES
 """Places around a window that correction reads: two for each sub-pass."""
 
 ORDER = np.array([[0, 0], [1, 1], [1, 0], [0, 1], [1, 1], [0, 0], [0, 1], [1, 0]], np.int32)
-"""(row, column) parities of the places that each sub-pass corrects; the second pass goes another way round."""
+"""(row, column) parities of the places that each sub-pass corrects; the second pass has another order."""
 
 
 def order(passes: int) -> NDArray[np.int32]:
-    """The parities of so many passes, one after the other."""
+    """The parities of the passes, one after the other."""
     return ORDER[: 4 * passes]
 
 
 COHERENT, STRADDLING = 4, 4
-"""A candidate's distance times 4 if it continues a neighbour, times 4 + kappa if it is only like what would; times 4
-again if its neighbourhood lies across a mirror."""
+"""Factors of a candidate's distance: 4 if it continues a neighbour, 4 + kappa if it is only similar to such a place;
+times 4 if its neighbourhood crosses a mirror."""
 
 
 @inlined
@@ -45,7 +45,7 @@ def wrapped(x, size):
 
 @inlined
 def folded(x, size):
-    """Where in the exemplar a coordinate lies, which is at most a period beside the first: mirrored at its borders."""
+    """The place in the exemplar of a coordinate at most a period beside the first, mirrored at the borders."""
     x = wrapped(x, size)
     return x if x < size else 2 * size - 1 - x
 
@@ -55,7 +55,7 @@ def upsampled(parent, row0, col0, top, left, step, reach, level, seed, rows, col
     """Coordinates of a level from those of the coarser one, moved at random (§3.1 and §3.2).
 
     Args:
-        parent: (h, w, 2), whose first place is (row0, col0) of the coarser level.
+        parent: (h, w, 2), with the first place at (row0, col0) of the coarser level.
         top, left: the first place of ``out``, of this level.
         step: samples of the exemplar between places of this level. reach: of the jitter, in 1/256 of a step.
         rows, cols: of the exemplar.
@@ -95,15 +95,15 @@ def of_one_piece(places, i, j, step):
 def corrected(before, features, similar, step, kappa, guide, guides, even_row, even_col, inset, out):
     """One sub-pass of correction: the places of one parity are replaced by the best of the k-coherent candidates.
 
-    A candidate is what a neighbour, or the place most like it, continues to here; the best is the one whose
-    neighbourhood of 5 × 5 in the exemplar is nearest to that around the place.
+    A candidate is the continuation of a neighbour, or of the place most similar to it; the best is the one whose
+    neighbourhood of 5 × 5 in the exemplar is closest to that around the place.
 
     Args:
         before, out: (h, w, 2) coordinates. inset: rows and columns along the border that stay as they are.
         features: (rows, cols) int16, up to ±1023, the exemplar as this level sees it.
-        similar: (rows, cols, 2) int16, for each place of the exemplar another one that looks like it.
+        similar: (rows, cols, 2) int16, for each place of the exemplar a similar one.
         kappa: 0 or 1; see ``COHERENT``.
-        guide: (h, w, g) int16, what the terrain is like at each place; guides: (rows, cols, g), the exemplar. g may be
+        guide: (h, w, g) int16, properties of the terrain at places; guides: (rows, cols, g), of the exemplar. g may be
             0; the first and second change their signs with mirrored columns and rows, as slopes along x and y do.
         even_row, even_col: the index of the first row and column that are corrected: 0 or 1.
     """
@@ -119,7 +119,7 @@ def corrected(before, features, similar, step, kappa, guide, guides, even_row, e
     for i in range(inset + ((inset + even_row) & 1), height - inset, 2):
         for j in range(inset + ((inset + even_col) & 1), width - inset, 2):
             if steered == 0 and of_one_piece(before, i, j, step):
-                continue  # nothing is nearer than the place itself
+                continue  # no candidate is closer than the place itself
             for di in range(5):
                 for dj in range(5):
                     x, y = before[i + di - 2, j + dj - 2, 0], before[i + di - 2, j + dj - 2, 1]
@@ -186,7 +186,7 @@ def _tap(stack, x, y):
 
 @inlined
 def _across(stack, x, y, step, odd):
-    """Eight times ``stack`` along its row, as doubling makes it of samples two steps apart."""
+    """Eight times ``stack`` along its row, as if doubled from samples two steps apart."""
     if odd:
         return 4 * (_tap(stack, x - step, y) + _tap(stack, x + step, y))
     return 6 * _tap(stack, x, y) + _tap(stack, x - 2 * step, y) + _tap(stack, x + 2 * step, y)
@@ -194,15 +194,15 @@ def _across(stack, x, y, step, odd):
 
 @kernel
 def raised(coarse, row0, col0, chosen, top, left, finer, coarser, step, out):
-    """Heights of a level: the coarser ones, doubled, and what the exemplar has beyond its own coarser level, doubled.
+    """Heights of a level: the coarser ones, doubled, plus the exemplar's difference from its own doubled coarser level.
 
     Doubling is subdivision by the cubic B-spline, 1 4 6 4 1. Where neighbours are chosen from one piece of the
-    exemplar, that piece comes out to the bit; between pieces every band of wavelengths passes over within about its own
+    exemplar, that piece is reproduced to the bit; between pieces, every band of wavelengths blends within about its own
     wavelength (P. Burt, E. Adelson, *A multiresolution spline*, 1983).
 
     Args:
         coarse: (h, w) int32, whose first sample is (row0, col0) of the coarser level.
-        chosen: (h, w, 2) coordinates of this level from (top, left) on, as many as ``out``.
+        chosen: (h, w, 2) coordinates of this level from (top, left) on, in the shape of ``out``.
         finer, coarser: (rows, cols) int32, the exemplar's stack at this level and at the coarser one.
         step: samples of the exemplar between places of this level.
     """

@@ -1,7 +1,7 @@
-"""Synthesis by example in plain NumPy: what the kernels and the shaders do, in a page (Lefebvre & Hoppe 2005, §3).
+"""Synthesis by example in plain NumPy: the kernels' and shaders' algorithm on a page (Lefebvre & Hoppe 2005, §3).
 
-It takes the prepared exemplar (``exemplar.Exemplar``) as it is. Each level is made on a generous surround and cropped
-at the end, so that nothing here knows how far a place depends on others but ``SURROUND`` itself, which is ample.
+It uses the prepared exemplar (``exemplar.Exemplar``). Each level is made with a generous margin and cropped at the end,
+so that only ``SURROUND``, which is ample, depends on how far places depend on others.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def hashed(x: Integers, y: Integers, seed: int) -> Integers:
 
 
 def folded(x: Integers, size: int) -> Integers:
-    """The sample of the exemplar at a coordinate of its plane, where mirror images follow one another."""
+    """The sample of the exemplar at a coordinate of its plane, where mirror images repeat."""
     x = x % (2 * size)
     return np.where(x < size, x, 2 * size - 1 - x)
 
@@ -68,12 +68,12 @@ def coordinates(
 
 
 def moved(array: Integers, dr: int, dc: int) -> Integers:
-    """What lies (dr, dc) from each place; what comes round the border is wrong, and cropped at the end."""
+    """The values (dr, dc) from each place; those that wrap around the border are wrong, and cropped at the end."""
     return np.asarray(np.roll(array, (-dr, -dc), (0, 1)))
 
 
 def best(exemplar: Any, level: int, kappa: int, here: Integers, turn: tuple[slice, slice]) -> Integers:
-    """For every place whose turn it is the candidate whose neighbourhood of 5 × 5 is nearest to that around it."""
+    """For every place of this parity, the candidate whose neighbourhood of 5 × 5 is closest to that around it."""
     features, similar, step = exemplar.features[level].astype(np.int64), exemplar.similar[level], exemplar.step(level)
     size = np.array(exemplar.shape[::-1])
     reach = np.minimum(2 * step, size.min() // 4)
@@ -84,7 +84,7 @@ def best(exemplar: Any, level: int, kappa: int, here: Integers, turn: tuple[slic
         for dr, dc in [divmod((n + 4) % 9, 3) for n in range(9)]:
             dr, dc = dr - 1, dc - 1
             like = moved(here, dr, dc)[turn]
-            if k:  # the place that looks like it, in the same mirror image
+            if k:  # the similar place, in the same mirror image
                 like = np.where(like % (2 * size) < size, at(similar, like), 2 * size - 1 - at(similar, like))
             like = (like - step * np.array([dc, dr])) % (2 * size)
             inner = np.stack([folded(like[..., n], size[n]) for n in (0, 1)], -1)

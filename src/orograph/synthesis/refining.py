@@ -1,17 +1,18 @@
-"""Detail beyond the data: samples between those of a terrain, doubled again and again, with what is added at each.
+"""Detail beyond the data: a terrain's samples are doubled again and again, and each doubling adds a residual.
 
 A doubling keeps every sample and puts one between each two, by the 4-point rule (−1, 9, 9, −1)/16 along columns, then
-rows (F. Losasso, H. Hoppe, *Geometry clipmaps*, SIGGRAPH 2004), and adds a residual to the new ones.
-So lattices nest, as a terrain's levels do, and the data's own samples stay as they are. A residual is
+rows (F. Losasso, H. Hoppe, *Geometry clipmaps*, SIGGRAPH 2004), and adds a residual to the new ones. So lattices nest,
+as a terrain's levels do, and the data's own samples stay unchanged. A residual is
 
-- ``Fractal``: noise, scaled by the local variance of the residuals of the data themselves (what the 4-point rule misses
-  of every second sample) and by how that falls from level to level: rough ground stays rough, level ground stays level;
-- ``steered.Steered``: what an exemplar has beyond its own doubling.
+- ``Fractal``: noise, scaled by the local variance of the residuals of the data themselves (the error of the 4-point
+  rule for every second sample) and by its decrease from level to level: rough ground stays rough, level ground stays
+  level;
+- ``steered.Steered``: the difference of an exemplar from its own doubling.
 
-Heights are whole numbers of the terrain's ``quantum``, and a doubling is made of integers of 32 bits alone, by NumPy or
-on a GPU (``detail_on_gpu``, ``shaders/refining.wgsl``): both make the same, to the bit, wherever a window begins. A
-sample beyond the raster is ``MISSING``; next to one the 4-point rule goes on in a straight line, and between a height
-and a void there is none. Units: samples of a lattice, quanta.
+Heights are integers in units of the terrain's ``quantum``, and a doubling uses only 32-bit integers, in NumPy or on a
+GPU (``detail_on_gpu``, ``shaders/refining.wgsl``): both give the same result, to the bit, wherever a window begins. A
+sample beyond the raster is ``MISSING``; next to one, the 4-point rule continues in a straight line, and there is no
+sample between a height and a void. Units: samples of a lattice, quanta.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 
 MISSING = -(1 << 31)
-"""In place of a height where there is none."""
+"""Marks a missing height."""
 
 HIGHEST = 27
 """Bits of the largest height: sums of a few of them fit 32 bits."""
@@ -42,16 +43,16 @@ NOISE = math.sqrt(21845.0)
 """The standard deviation of the noise of ``Fractal``: its variance is 4 · (256² − 1)/12."""
 
 ROUGHEST = 1 << 20
-"""A scale of noise, at most: with ten bits of a place between samples it fits 32 bits."""
+"""Maximum scale of noise: with ten bits for a place between samples, it fits 32 bits."""
 
 SIDE = 256
-"""Samples of a side of the tiles that are kept."""
+"""Samples along a side of the cached tiles."""
 
 REACH = 26
-"""Samples around one that its roughness is told by."""
+"""Samples around one that determine its roughness."""
 
 HURST = 0.5, 1.5
-"""Least and largest exponent by which residuals fall from level to level."""
+"""Smallest and largest exponent by which residuals fall from level to level."""
 
 
 class Lattice(Protocol):
@@ -64,27 +65,27 @@ class Lattice(Protocol):
     quantum: float
 
     def read(self, r: Range) -> Integers:
-        """(rows, cols) int32 of half-open ranges, which may reach beyond: ``MISSING`` there."""
+        """(rows, cols) int32 of half-open ranges, which may reach beyond the lattice: ``MISSING`` there."""
 
 
 class Residual(Protocol):
-    """A doubling."""
+    """What a doubling adds."""
 
     def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
         """Ranges of the doubled lattice.
 
         Args:
-            coarse: the ranges ``above`` of the coarser one, which are ``parents_of(r)``.
+            coarse: the coarser lattice's ranges ``above``, which are ``parents_of(r)``.
         """
 
 
 class Tiled:
     """Windows of anything, assembled from square tiles, the last of which are kept.
 
-    A lattice is read by the finer ones, by several windows of a picture and for its means: each tile is made once.
+    Finer lattices, several windows of a picture, and means read a lattice; each tile is made once.
 
     Args:
-        make: gives the array (rows, cols, ...) of a range; the same to the bit wherever that begins.
+        make: returns the array (rows, cols, ...) of a range; the same to the bit wherever that begins.
     """
 
     def __init__(self, make: Callable[[Range], NDArray[Any]], most: int = 100) -> None:
@@ -155,7 +156,7 @@ class Doubled:
 
 
 def parents_of(r: Range) -> Range:
-    """What of the coarser lattice the 4-point rule needs."""
+    """The ranges of the coarser lattice that the 4-point rule needs."""
     return Range((r.row0 >> 1) - 1, ((r.row1 - 1) >> 1) + 3, (r.col0 >> 1) - 1, ((r.col1 - 1) >> 1) + 3)
 
 
@@ -169,7 +170,7 @@ def doubled(coarse: Integers, above: Range, r: Range) -> Integers:
 def _between(rows: Integers) -> Integers:
     """Rows 1 to n − 2 of an array and the ones between them: 2(n − 3) rows."""
     a, b, c, d = rows[:-3], rows[1:-2], rows[2:-1], rows[3:]
-    with np.errstate(over="ignore"):  # of what is missing
+    with np.errstate(over="ignore"):  # of missing samples
         a = np.where(a == MISSING, 2 * b - c, a)
         d = np.where(d == MISSING, 2 * c - b, d)
         # (9 (b + c) − (a + d) + 8) >> 4, in 32 bits
@@ -181,14 +182,14 @@ def _between(rows: Integers) -> Integers:
 
 
 class Smooth:
-    """The residual of smooth interpolation: none."""
+    """No residual: smooth interpolation."""
 
     def refined(self, coarse: Integers, above: Range, r: Range) -> Integers:
         return doubled(coarse, above, r)
 
 
 class Spread(NamedTuple):
-    """Whole numbers at samples of a lattice, bilinear between them, on one that is ``doublings`` finer.
+    """Integers at samples of a lattice, interpolated bilinearly on one that is ``doublings`` finer.
 
     Attributes:
         values: (rows, cols[, any]) int32, at most ``ROUGHEST``. own: their ranges.
@@ -212,17 +213,17 @@ class Spread(NamedTuple):
 
 
 def around(r: Range, doublings: int) -> Range:
-    """The ranges of the coarser lattice between which those of the finer one lie."""
+    """The ranges of the coarser lattice that surround those of the finer one."""
     return Range(r.row0 >> doublings, ((r.row1 - 1) >> doublings) + 2, r.col0 >> doublings,
                  ((r.col1 - 1) >> doublings) + 2)  # fmt: skip
 
 
 class Fractal:
-    """Noise that goes on as the roughness of a lattice does.
+    """Noise that continues the roughness of a lattice.
 
     Args:
-        base: whose roughness it is. doublings: how much finer than it the residual's lattice is, at least 1.
-        level: another number, other noise: one for each lattice. seed: as of a terrain.
+        base: the lattice. doublings: how much finer the residual's lattice is, at least 1.
+        level: a different number for each lattice gives different noise. seed: as for a terrain.
     """
 
     def __init__(self, base: Lattice, doublings: int, level: int, seed: int) -> None:
@@ -232,7 +233,7 @@ class Fractal:
         self.shift = 3 + doublings // 2
 
     def scale(self, r: Range) -> Spread:
-        """How large the noise is around a range, before ``shift`` halvings."""
+        """The amplitude of the noise around a range, before ``shift`` halvings."""
         own = around(r, self.doublings)
         sigma, hurst = roughness(self.base, own)
         scale = sigma * 2.0 ** (-self.doublings * hurst) * (2.0**self.shift / NOISE / self.base.quantum)
@@ -248,7 +249,7 @@ class Fractal:
 
 
 def added(heights: Integers, residual: Integers, r: Range) -> Integers:
-    """Doubled heights with what is added to the new ones."""
+    """Doubled heights with the residual added to the new ones."""
     old = (np.arange(*r[:2]) % 2 == 0)[:, None] & (np.arange(*r[2:]) % 2 == 0)[None, :]
     return np.where(old | (heights == MISSING), heights, heights + residual).astype(np.int32)
 
@@ -256,8 +257,8 @@ def added(heights: Integers, residual: Integers, r: Range) -> Integers:
 def roughness(lattice: Lattice, r: Range) -> tuple[Floats, Floats]:
     """The root mean square of residuals around each sample, metres, and the exponent by which it falls per doubling.
 
-    The residual of a sample is how far it lies from what every second sample makes of it; that of the coarser level
-    likewise, from every fourth. Weights are the binomial filter's, some ten samples wide. Level ground has none.
+    The residual of a sample is its distance from the interpolation of every second sample; that of the coarser level,
+    from every fourth. Weights are the binomial filter's, some ten samples wide. Level ground has none.
     """
     wide = Range((r.row0 - REACH) & ~3, r.row1 + REACH, (r.col0 - REACH) & ~3, r.col1 + REACH)
     heights = metres(lattice.read(wide), lattice.quantum)

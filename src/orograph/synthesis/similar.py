@@ -1,8 +1,8 @@
-"""For each place of an exemplar another that looks like it: what k-coherent search draws its second candidates from.
+"""For each place of an exemplar, a similar one: the second candidates of k-coherent search.
 
 The field of nearest neighbourhoods is found by propagation and random search (C. Barnes et al., *PatchMatch*, SIGGRAPH
-2009) in integers and a fixed order, so that it is the same on every machine. A match lies at least ``apart`` samples
-away: next to a place everything looks like it (Lefebvre & Hoppe 2005, §3.3).
+2009) in integers and a fixed order, so that it is the same on every machine. A match is at least ``apart`` samples
+away, because everything next to a place is similar to it (Lefebvre & Hoppe 2005, §3.3).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def mirrored(x, size):
 
 @inlined
 def between(features, x, y, u, v, step, most):
-    """The squared distance of the neighbourhoods of 5 × 5 at two places, or something above ``most``."""
+    """The squared distance of the neighbourhoods of 5 × 5 at two places, or any value above ``most``."""
     rows, cols = features.shape
     total = np.int64(0)
     for di in range(-2, 3):
@@ -37,7 +37,7 @@ def between(features, x, y, u, v, step, most):
 
 @inlined
 def allowed(u, v, x, y, reach, rows, cols, apart):
-    """Whether (u, v) may be the match of (x, y): its neighbourhood inside, and far enough away."""
+    """Whether (u, v) may be the match of (x, y): its neighbourhood is inside, and it is far enough away."""
     inside = reach <= u < cols - reach and reach <= v < rows - reach
     return inside and max(abs(u - x), abs(v - y)) >= apart
 
@@ -48,8 +48,8 @@ def similar_places(features, step, apart, rounds, seed, out):
 
     Args:
         features: (rows, cols) int16. step: samples between those of a neighbourhood; at most half of each side.
-        apart: samples between a place and its match, along an axis, at least.
-        rounds: of propagation, there and back by turns.
+        apart: minimum samples between a place and its match along an axis.
+        rounds: of propagation, in alternating directions.
     """
     rows, cols = features.shape
     reach = min(2 * step, min(rows, cols) // 4)

@@ -1,10 +1,9 @@
-"""Detail by example: the fine part of real lidar on coarse ground, where its slope and curvature are alike.
+"""Detail by example: the fine part of real lidar on coarse ground with similar slope and curvature.
 
-The lattice of the data stands on the exemplar's level of the same spacing. Each of its places begins at the best of
-some random places of the exemplar, by slopes and curvature; from there on coordinates are corrected and doubled as
-those of ``windows``, with the guide as a part of the distance. What a doubling adds is what the exemplar has beyond its
-own doubling by the same 4-point rule: one piece of it goes over into another through samples they share, and where
-neighbours come from one piece its own forms come out.
+The data's lattice uses the exemplar's level of the same spacing. Each of its places begins at the best of some random
+places of the exemplar, by slopes and curvature; then coordinates are corrected and doubled as in ``windows``, with the
+guide as a part of the distance. A doubling adds the exemplar's difference from its own doubling by the same 4-point
+rule: pieces blend through samples that they share, and where neighbours come from one piece, its own forms appear.
 """
 
 from __future__ import annotations
@@ -34,13 +33,13 @@ from orograph.synthesis.refining import (
 from orograph.synthesis.windows import Range
 
 TRIES = 64
-"""Places of the exemplar that each sample of the data begins with."""
+"""Places of the exemplar that are tried for each sample of the data."""
 
 GAIN = 12
-"""Bits of a gain, at most: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
+"""Maximum bits of a gain: the quanta of the data in one of the exemplar, times ``Steering.shift`` halvings."""
 
 GROUND = 2.0**-10
-"""Metres that the ground under an exemplar is rounded to before it is smoothed."""
+"""Metres to which the ground under an exemplar is rounded before smoothing."""
 
 Guide = NDArray[np.int16]
 
@@ -49,9 +48,9 @@ class Steering:
     """An exemplar on a lattice of data.
 
     Args:
-        doublings: by which the data's spacing becomes the exemplar's, at least 1, at most ``exemplar.top``.
-        stretch: heights of the data in heights of the exemplar: by how much its spacing is larger than the exemplar's.
-        ground: heights under the exemplar, metres, by which it is chosen; None: it is the ground itself.
+        doublings: from the data's spacing to the exemplar's, at least 1, at most ``exemplar.top``.
+        stretch: heights of the data per height of the exemplar: the ratio of their spacings.
+        ground: heights under the exemplar, metres, to match; None: the exemplar is the ground itself.
     """
 
     def __init__(
@@ -85,7 +84,7 @@ class Steering:
         return np.asarray(np.rint(np.clip(np.stack(known, -1), -1023, 1023)), np.int16)
 
     def guide(self, r: Range) -> Guide:
-        """What the data are like at places of their lattice: slopes along columns and rows, and curvature."""
+        """Properties of the data at places of their lattice: slopes along columns and rows, and curvature."""
         smooth = metres(self.data.read(r.wider(2)), self.data.quantum)
         for axis in (0, 1):
             a, b, c = (np.take(smooth, range(k, smooth.shape[axis] - 2 + k), axis) for k in range(3))
@@ -109,7 +108,7 @@ class Steering:
         return np.ascontiguousarray(self._corrected(level, wide, chosen, guide)[r.within(wide)])
 
     def _upsampled(self, level: int, wide: Range) -> Any:
-        """The coordinates of a level as those of the coarser one continue."""
+        """The coordinates of a level as a continuation of the coarser one's."""
         parents, (rows, cols) = wide.parents(), self.exemplar.shape
         chosen = np.empty((*wide.shape, 2), np.int32)
         upsampled(
@@ -119,7 +118,7 @@ class Steering:
         return chosen
 
     def _corrected(self, level: int, wide: Range, chosen: Any, guide: Guide) -> NDArray[np.int32]:
-        """The coordinates of a level, corrected but for its margin."""
+        """The coordinates of a level, corrected except in its margin."""
         e, other, n = self.exemplar, np.empty_like(chosen), self.at(level)
         for k, (row, col) in enumerate(ORDER):
             corrected(
@@ -130,7 +129,7 @@ class Steering:
         return np.asarray(chosen)
 
     def residual(self, level: int) -> Steered:
-        """Of the doubling that is ``level`` doublings finer than the data."""
+        """The residual of the doubling that is ``level`` doublings finer than the data."""
         return Steered(self, level)
 
     def at(self, level: int) -> int:
@@ -138,7 +137,7 @@ class Steering:
         return self.exemplar.top - self.doublings + level
 
     def _begun(self, r: Range, guide: Guide) -> Any:
-        """For each place the best of some random places of the exemplar's plane."""
+        """For each place, the best of some random places of the exemplar's plane."""
         rows, cols = self.exemplar.shape
         row, col = (a.ravel() for a in np.meshgrid(np.arange(*r[:2]), np.arange(*r[2:]), indexing="ij"))
         wanted = guide.reshape(-1, guide.shape[-1]).astype(np.int64)
@@ -155,8 +154,11 @@ class Steering:
         return best.reshape(*r.shape, 2)
 
     def gain(self, r: Range, level: int) -> Spread:
-        """By how much to multiply what the exemplar has, before ``shift`` halvings: down to 0 where the data are much
-        smoother than the exemplar, so that level ground, such as water, stays level."""
+        """The factor for the exemplar's detail, before ``shift`` halvings.
+
+        It goes down to 0 where the data are much smoother than the exemplar, so that level ground, such as water, stays
+        level.
+        """
         own = around(r, level)
         sigma, _ = roughness(self.data, own)
         gate = np.clip(8 * sigma / max(self.rough, 1e-12), 0, 1)
@@ -203,7 +205,7 @@ def _shape(heights: Floats, step: int, mode: str | None) -> tuple[Floats, Floats
     """Slopes along columns and rows and the curvature of heights, by differences over ``step`` samples.
 
     Args:
-        mode: of ``np.pad`` at the borders; None: the outermost samples only serve those within.
+        mode: of ``np.pad`` at the borders; None: the outermost samples are only used for those inside.
     """
     h = heights if mode is None else np.pad(heights, step, mode=mode)  # type: ignore[call-overload]
     inner = h[step:-step, step:-step]

@@ -1,5 +1,4 @@
-"""A terrain of any size by example, as a raster that is read by windows: what ``orograph synth --exemplar`` writes,
-or builds a store of."""
+"""A terrain of any size by example, as a raster read by windows, for ``orograph synth --exemplar``."""
 
 from __future__ import annotations
 
@@ -25,9 +24,9 @@ ORIGIN = 500_000.0, 5_000_000.0
 
 
 class ByExample:
-    """A terrain modelled on another; has what a mosaic needs of a source (``grid``, ``name``, ``read`` and so on).
+    """A terrain modelled on another; has what a mosaic needs of a source (``grid``, ``name``, ``read``…).
 
-    Its samples are as far apart as the example's, and its heights as high.
+    It has the spacing of the example's samples, and its range of heights.
 
     Args:
         exemplar: the example: whatever ``orograph.terrain`` takes that has at most ``exemplar.MOST`` samples, none
@@ -74,7 +73,7 @@ class ByExample:
         return f"after {self._digest} {self.grid.shape} {tuple(self.grid.transform)} {e.seed} {e.reach} {e.passes}"
 
     def again(self) -> tuple[ExampleAgain, dict[str, NDArray[Any]]]:
-        """What opens it in another process, and with which arrays (``store.handing``)."""
+        """How to open it in another process, and with which arrays (``store.handing``)."""
         e = self.endless
         how = ExampleAgain(
             self.grid, self.name, self._digest, e.seed, e.reach, e.passes, e.exemplar.quantum, e.exemplar.base
@@ -86,7 +85,7 @@ class ByExample:
 
     @property
     def tags(self) -> dict[str, str]:
-        """The description in a file of it."""
+        """Its description in a file."""
         return {"TIFFTAG_IMAGEDESCRIPTION": f"synthetic terrain {self.name}", **copyright_tags(self.attribution)}
 
 

@@ -1,8 +1,8 @@
 """Any window of an endless terrain by example, at any level: the same to the bit however it is made.
 
 From the coarsest level down, coordinates are doubled, moved at random by a hash of their place, and corrected
-(``kernels``). A place depends on others at most ``MARGIN`` away on its own level, so a window begins with one as much
-larger on each level, which stays below twice the margin however many levels there are.
+(``kernels``). A place depends on others at most ``MARGIN`` away on its own level. So a window needs a margin on each
+level, which stays below twice ``MARGIN`` for any number of levels.
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ from orograph.synthesis.exemplar import Exemplar, Integers
 from orograph.synthesis.kernels import MARGIN, PASSES, corrected, order, raised, upsampled
 
 JITTER = 0.5
-"""Of a level's step, on the coarser levels; the finest three have none: see ``Endless``."""
+"""Jitter of the coarser levels, in their steps; the finest three have none: see ``Endless``."""
 
 UNCORRECTED = 2
-"""The finest levels that are not corrected, unless ``passes`` says otherwise: nine tenths of the work, which would only
-smooth them."""
+"""Number of finest levels without correction by default: it is nine tenths of the work, and would only smooth them."""
 
 UNSTEERED = np.zeros((1, 1, 0), np.int16)
 
@@ -43,25 +42,25 @@ class Range(NamedTuple):
         return Range(self.row0 - by, self.row1 + by, self.col0 - by, self.col1 + by)
 
     def parents(self) -> Range:
-        """The places of the coarser level that these are made of."""
+        """The places of the coarser level from which these are made."""
         return Range(self.row0 >> 1, ((self.row1 - 1) >> 1) + 1, self.col0 >> 1, ((self.col1 - 1) >> 1) + 1)
 
     def within(self, outer: Range) -> tuple[slice, slice]:
-        """Where these lie in an array of ``outer``."""
+        """The position of these in an array of ``outer``."""
         rows = slice(self.row0 - outer.row0, self.row1 - outer.row0)
         return rows, slice(self.col0 - outer.col0, self.col1 - outer.col0)
 
 
 class Endless:
-    """The endless terrain that an exemplar and a seed make.
+    """The endless terrain of an exemplar and a seed.
 
     Args:
-        jitter: how far coordinates are moved at random, of each level's step: one number, or one for each level, the
-            coarsest first, of which the last is repeated; each 0 to 1. More is more variety, less is longer coherent
-            pieces of the exemplar. The default moves all but the three finest levels, where it would only roughen.
-        kappa: 0 or 1: whether a place that continues its neighbours is preferred to one that only looks alike.
-        passes: of correction, 0 to 2: one number, or one for each level, as ``jitter``. The default corrects twice, and
-            the finest two levels not at all, which are nine tenths of the work: there correction only smooths.
+        jitter: how far coordinates are moved at random, in each level's steps: one number, or one for each level, the
+            coarsest first (the last is repeated); each 0 to 1. A larger number gives more variety, a smaller one longer
+            coherent pieces. The default moves all but the three finest levels, where it would only roughen.
+        kappa: 0 or 1: whether a place that continues its neighbours is preferred to one that is only similar.
+        passes: of correction, 0 to 2: one number, or one for each level, as for ``jitter``. The default corrects twice,
+        but not the finest two levels, which are nine tenths of the work: there, correction only smooths.
     """
 
     def __init__(
@@ -92,19 +91,18 @@ class Endless:
         self.reach, self.passes = [round(256 * r) for r in shaken], [int(n) for n in turns]
 
     def ranges(self, window: Range, level: int) -> list[Range]:
-        """What is needed of each level, coarsest first, for a window of ``level``."""
+        """The range needed of each level, coarsest first, for a window of ``level``."""
         found = [window]
         for n in range(level, 0, -1):
             found.insert(0, found[0].wider(self.margin(n)).parents())
         return found
 
     def margin(self, level: int) -> int:
-        """Places around a window of a level that are made with it: what correction and doubled heights read."""
+        """Places around a window of a level that are made with it, because correction and doubled heights read them."""
         return max(MARGIN // PASSES * self.passes[level], 2)
 
     def coordinates(self, window: Range, level: int | None = None) -> NDArray[np.int32]:
-        """(rows, cols, 2) int32: x, y in the exemplar's plane of each place of a window of a level (None: the
-        finest)."""
+        """(rows, cols, 2) int32: x, y in the exemplar's plane of each place of a level's window (None: the finest)."""
         level = self.check(level)
         return self._levels(window, level)[level]
 
@@ -128,7 +126,7 @@ class Endless:
         return (self.exemplar.base + heights * self.exemplar.quantum).astype(np.float32)
 
     def check(self, level: int | None) -> int:
-        """A level, the finest one if it is None.
+        """Check a level; returns the finest one if it is None.
 
         Raises:
             UsageError: there is no such level.
@@ -166,7 +164,7 @@ class Endless:
         rows, cols = self.exemplar.shape
         parent = np.zeros((*r.parents().shape, 2), np.int32)
         out = np.empty((*r.shape, 2), np.int32)
-        # Moved at random by the whole plane: twice the longer side, as steps of one sample.
+        # Moved at random over the whole plane: twice the longer side, in steps of one sample.
         upsampled(
             parent, r.parents().row0, r.parents().col0, r.row0, r.col0, 2 * max(rows, cols), 256, 0, self.seed, rows,
             cols, out,
@@ -175,7 +173,7 @@ class Endless:
 
 
 def _of_levels(given: float | Sequence[float], levels: int) -> list[float] | None:
-    """One number for each level of a number, or of some, the last of which is repeated; None of too many, or none."""
+    """One number for each level, from a number or a list whose last is repeated; None if there are too many or none."""
     some = [given] if isinstance(given, int | float) else list(given)
     return some + some[-1:] * (levels - len(some)) if 0 < len(some) <= levels else None
 

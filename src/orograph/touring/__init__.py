@@ -1,4 +1,4 @@
-"""Tours: a camera that goes through key frames (``tour``), above a terrain (``course``), and its film (``film``)."""
+"""Tours: a camera that moves through key frames (``tour``), above a terrain (``course``), and its film (``film``)."""
 
 from orograph.touring.keys import Key
 from orograph.touring.tour import Tour, moves

@@ -1,8 +1,8 @@
 """The candidate cameras of a best view: all look at the target's middle, from *places* around it.
 
-A place lies at an azimuth of the middle and at a distance over the ground. Over it stand cameras of several heights:
-those that look down at given pitches, and those at given heights above the ground; each with every field of view. What
-hides a piece of the target from a place is found once for all heights (``best_search``).
+A place is at an azimuth and a ground distance from the middle. Above it are cameras at several heights: those that look
+down at given pitches, and those at given heights above the ground; each with every field of view. The ground that hides
+a piece of the target from a place is found once for all heights (``best_search``).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Cameras:
         eyes: (m, 3) in the terrain's CRS. fov: (m,) degrees, vertical.
         place: (places, 2) easting and northing. first: (places + 1,) the first camera of each; a place's cameras follow
             one another.
-        middle: (3,) what they look at. size: (width, height), pixels. radius: of the target, metres.
+        middle: (3,) where they look. size: (width, height), pixels. radius: of the target, metres.
     """
 
     eyes: Array
@@ -83,10 +83,10 @@ def cameras(
     """All allowed cameras.
 
     Args:
-        azimuths: sides of the target that cameras stand at, degrees clockwise from north; a number: so many evenly.
+        azimuths: sides of the target where cameras stand, degrees clockwise from north; a number: that many, evenly.
         pitches: degrees by which cameras look down. above: metres above the ground they stand on.
         distances: metres over the ground, from the target's middle; none: ``FITS``.
-        fovs: vertical fields of view, degrees. clearance: metres above the ground that an eye is at least.
+        fovs: vertical fields of view, degrees. clearance: minimum height of an eye above the ground, metres.
 
     Raises:
         UsageError: a number is out of its range, or no camera is above the ground.
@@ -123,7 +123,7 @@ def _check(
     azimuths: int | Sequence[float], pitches: Sequence[float], above: Sequence[float], distances: Sequence[float],
     fovs: Sequence[float], clearance: float,
 ) -> None:  # fmt: skip
-    """Raise UsageError for what is out of its range."""
+    """Raise UsageError for values out of range."""
     if (azimuths if isinstance(azimuths, int) else len(azimuths)) < 1:
         raise UsageError("`azimuths` must have at least one.")
     if not isinstance(azimuths, int) and not np.isfinite(azimuths).all():
@@ -141,7 +141,7 @@ def _check(
 
 
 def _ground(terrain: Terrain, place: Array) -> Array:
-    """Heights (n,) of the ground, NaN beside it."""
+    """Heights (n,) of the ground, NaN outside it."""
     rows, cols = terrain.grid.shape
     col, row = terrain.grid.index(place[:, 0], place[:, 1])
     on = (col >= 0) & (col <= cols - 1) & (row >= 0) & (row <= rows - 1)

@@ -1,8 +1,8 @@
-"""The loops of a best view: how well cameras show pieces, and how high over a place an eye must be to see one.
+"""The loops of a best view: how well cameras show pieces, and how high above a place an eye must be to see one.
 
-What stands between a piece and an eye is found by ``measuring``'s walk along a line of sight over the surface, with a
-pyramid of maxima: it gives the least height over the eye's place from which the line is clear, so one walk serves all
-cameras there. What hides a camera at one height hides all below it.
+Ground between a piece and an eye is found by ``measuring``'s walk along a line of sight over the surface, with a
+pyramid of maxima: it gives the smallest height above the eye's place from which the line is clear, so one walk serves
+all cameras there. A piece hidden from one height is hidden from all heights below it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from orograph._numba import inlined, kernel
 from orograph.measuring.viewshed_kernels import along
 
 LEAST = 1e-4
-"""Metres by which ground must stand above a line of sight to hide: less is rounding."""
+"""Metres by which ground must rise above a line of sight to hide: less is rounding."""
 
 
 class Pinholes(NamedTuple):
@@ -43,7 +43,7 @@ class Pieces(NamedTuple):
 
 @inlined
 def camera(cameras, m):
-    """The numbers of camera m that ``quality`` takes."""
+    """The numbers of camera m for ``quality``."""
     eyes, axes, slopes, fitting = cameras
     return (
         eyes[m, 0], eyes[m, 1], eyes[m, 2], axes[m, 0, 0], axes[m, 0, 1], axes[m, 1, 0], axes[m, 1, 1], axes[m, 1, 2],
@@ -53,10 +53,10 @@ def camera(cameras, m):
 
 @inlined
 def quality(cam, points, axis, i, kind, zero, one):
-    """q of piece i in a camera's picture if nothing hides it, 0 to 1, but for its light (docs/best-view.md).
+    """q of piece i in a camera's picture if nothing hides it, 0 to 1, without its light (docs/best-view.md).
 
-    There are no branches, ``kind`` is a constant where it counts, and ``i`` unsigned (a negative index would count from
-    the end), so that loops over pieces become vector instructions. ``zero`` and ``one`` are of the numbers' type.
+    There are no branches, ``kind`` is a constant where it matters, and ``i`` is unsigned (a negative index would count
+    from the end), so that loops over pieces are vectorised. ``zero`` and ``one`` have the numbers' type.
     """
     ex, ey, ez, rx, ry, ux, uy, uz, fx, fy, fz, tx, ty, fit = cam
     dx, dy, dz = points[0, i] - ex, points[1, i] - ey, points[2, i] - ez
@@ -90,12 +90,12 @@ def qualities(cameras, m, pieces, out):
 
 @kernel
 def values(cameras, pieces, best, needed, first, last, out):
-    """What cameras [first, last) add to what is seen already: Σ weight·max(q − best, 0) over the pieces they see.
+    """The gain of cameras [first, last): Σ weight·max(q − best, 0) over the pieces they see.
 
     Args:
         best: (n,) the largest q so far.
-        needed: (n,) the height over the place from which each piece is seen; −inf where that is not known: an upper
-            bound results.
+        needed: (n,) the height above the place from which each piece is visible; −inf where it is unknown, which gives
+            an upper bound.
         out: (last − first,) float64.
     """
     weight = pieces.weight
@@ -114,10 +114,11 @@ def values(cameras, pieces, best, needed, first, last, out):
 
 @kernel
 def ceilings(cameras, pieces, starts, out):
-    """Upper bounds of what the best camera of each place shows: what is in its picture, hidden or not; float32 arrays.
+    """Upper bounds of what the best camera of each place shows: its picture without occlusion; float32 arrays.
 
     Args:
-        cameras, pieces: places counted from the target's middle; slopes, fitting a little too large, for the rounding.
+        cameras, pieces: places relative to the target's middle; slopes, fitting slightly too large, because of
+        rounding.
         starts: (places + 1,) the first camera of each. out: (places,) float64.
     """
     zero, one = np.float32(0.0), np.float32(1.0)
@@ -143,11 +144,11 @@ def ceilings(cameras, pieces, starts, out):
 
 @kernel
 def look(pyramid, at, heights, which, place, cameras, pieces, best, needed, first, last, out):
-    """Find ``needed`` of the pieces ``which`` from one place, and take what its cameras do not see from their values.
+    """Find ``needed`` of the pieces ``which`` from one place, and subtract those that its cameras do not see.
 
     Args:
         pyramid: ``Pyramid`` of heights. at: (n, 2) column and row of the pieces in it.
-        heights: (n,) what is looked at: the pieces, or what stands there.
+        heights: (n,) of the points to see: the pieces, or targets standing there.
         place: column, row and height of the place's lowest camera.
         out: (last − first,) the values, an upper bound before and after.
     """

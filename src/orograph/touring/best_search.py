@@ -1,14 +1,14 @@
 """The search for the best views: best first by upper bounds, so that few lines of sight are tested.
 
-Every camera begins with an upper bound of what it adds: all that would be in its picture if nothing hid anything. A
-place has the bound of its best camera, and the place with the highest bound is always visited next: from it, lines of
-sight to some more pieces, in an order that mixes them well; what they hide is taken from the bounds of its cameras. A
-place whose pieces are all known and whose bound is still the highest has the best camera of all, for no other can reach
-it. So the result is that of looking at everything from everywhere.
+Every camera begins with an upper bound of its gain: everything in its picture if nothing were hidden. A place has the
+bound of its best camera, and the place with the highest bound is always visited next: lines of sight are tested from it
+to some more pieces, in a well-mixed order, and hidden pieces are subtracted from the bounds of its cameras. A place
+whose pieces are all known and whose bound is still the highest has the best camera of all, because no other can exceed
+it. So the result is the same as that of testing everything from everywhere.
 
-The next view is the one that adds most to those before (greedy cover). What a camera adds can only fall as views are
-added, so old bounds stay bounds, and are made new when their place comes to the top (Minoux 1978); together k such
-views see at least 1 − 1/e of what the best k could (Nemhauser, Wolsey & Fisher 1978).
+The next view is the one with the largest gain over those before (greedy cover). The gain of a camera can only fall as
+views are added, so old bounds stay valid, and are updated when their place comes to the top (Minoux 1978); together k
+such views see at least 1 − 1/e of what the best k could (Nemhauser, Wolsey & Fisher 1978).
 
 Source: best first with bounds is branch and bound (Land & Doig 1960) on Σ over pieces.
 """
@@ -40,9 +40,9 @@ PLACES = 64
 WIDER = 1 + 1e-4
 """How much bounds in single precision are widened."""
 ADDS = 1e-9
-"""A view that adds less adds nothing."""
+"""A gain below this counts as none."""
 AMBIENT = 0.5
-"""What a piece counts that no sun reaches, of one that the sun meets head on."""
+"""The weight of a piece without sun, relative to one that faces the sun."""
 SEED = 19
 """Seed of the order in which pieces are tested; the result is the same for any."""
 
@@ -52,7 +52,7 @@ class Ground:
     """The surface between a target and its cameras, for lines of sight.
 
     Attributes:
-        level: of the terrain, 0 unless so much ground is too large for memory.
+        level: of the terrain, 0 unless the ground is too large for memory.
         pyramid: of float32 heights.
         row, col: the first sample, at that level.
     """
@@ -69,7 +69,7 @@ class Ground:
         level = 0
         while True:
             rows, cols = terrain.shape(level)
-            # (A line along the border of what is read would leave it by its rounding.)
+            # (A line along the border of the window would leave it by rounding.)
             (left, top), (right, bottom) = at.min(0) / 2**level - 2, at.max(0) / 2**level + 2
             col, row = (max(min(math.floor(v), n - 2), 0) & ~1 for v, n in ((left, cols), (top, rows)))
             end = min(max(math.ceil(right) + 1, col + 2), cols), min(max(math.ceil(bottom) + 1, row + 2), rows)
@@ -103,11 +103,11 @@ def pyramid_of(z: NDArray[np.float32]) -> Pyramid:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A view that was chosen.
+    """A chosen view.
 
     Attributes:
-        camera: its number. score: what it shows alone; gain: what it adds to those before, both 0 to 1.
-        quality: (n,) q of the pieces it sees, with their light; NaN of those it does not see.
+        camera: its number. score: of this view alone; gain: over those before; both 0 to 1.
+        quality: (n,) q of the pieces it sees, with their light; NaN for hidden ones.
     """
 
     camera: int
@@ -120,11 +120,11 @@ class Search:
     """The search for views of a target.
 
     Args:
-        terrain, target, cams: see there. lift: metres above the ground of the points to see.
-        sun: lights the pieces; None: all alike. jobs: threads.
+        terrain, target, cams: see their classes. lift: metres above the ground of the points to see.
+        sun: lights the pieces; None: all equally. jobs: threads.
 
     Attributes:
-        looks: lines of sight that were tested.
+        looks: the number of tested lines of sight.
     """
 
     def __init__(
@@ -154,8 +154,10 @@ class Search:
         self.looks = 0
 
     def views(self, k: int, apart: float) -> list[Found]:
-        """The best view, the one that adds most to it, and so on: up to k, in directions at least ``apart`` degrees
-        from each other as seen from the target. When nothing more can be added, the best of the rest follow."""
+        """Up to k views: the best, then each with the largest gain, at least ``apart`` degrees from each other.
+
+        Directions are as seen from the target. When there is no more gain, the best of the remaining views follow.
+        """
         found: list[Found] = []
         best = np.zeros(len(self._points))
         allowed = np.ones(len(self.cams), bool)
@@ -165,7 +167,9 @@ class Search:
         with self.progress.task("Searching for views", total=k) as task:
             while len(found) < k:
                 chosen = self._next(best, allowed, bounds)
-                if chosen is None and best.any():  # all is seen that can be: what else shows much of it?
+                if (
+                    chosen is None and best.any()
+                ):  # everything visible is already seen: continue with the best single views
                     best = np.zeros(len(best))
                     bounds = self._bounds()
                     continue
@@ -182,7 +186,7 @@ class Search:
         return found
 
     def _bounds(self) -> list[float]:
-        """Upper bounds of what the best camera of each place adds, whatever is seen already, in single precision."""
+        """Upper bounds of the gain of each place's best camera, whatever is already visible, in single precision."""
         cams, middle = self.cams, self.cams.middle
         points, spans, axis, weight = self._pieces
         _, axes, slopes, fitting = self._cameras
@@ -202,12 +206,12 @@ class Search:
         return [float(bound) for bound in out * WIDER + ADDS]
 
     def _bound(self, p: int, best: Array, allowed: NDArray[np.bool_]) -> Array:
-        """What each camera of a place could add, by what is known; −1 of those that are not allowed."""
+        """The known upper bound of the gain of each camera of a place; −1 for those that are not allowed."""
         first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
         out = np.empty(last - first)
         if not allowed[first:last].any():
             return np.full(last - first, -1.0)
-        # (A picture's q has its light in it, and the kernels put it into the weight: there what was seen is without.)
+        # (A view's q includes its light, which kernels put into the weight: remove it here.)
         needed = self._needed.get(p, self._hidden_nothing)
         values(self._cameras, self._pieces, self._unlit(best), needed, first, last, out)
         return np.where(allowed[first:last], out, -1.0)
@@ -216,7 +220,7 @@ class Search:
         return best / self.light
 
     def _next(self, best: Array, allowed: NDArray[np.bool_], bounds: list[float]) -> int | None:
-        """The camera that adds most; None if none adds anything. ``bounds`` are made better."""
+        """The camera with the largest gain; None if none has any. Tightens ``bounds``."""
         first = self.cams.first
         heap = [(-bound, p) for p, bound in enumerate(bounds)]
         heapq.heapify(heap)
@@ -238,7 +242,7 @@ class Search:
         return None
 
     def _look(self, p: int, unlit: Array, out: Array) -> None:
-        """Look from a place at some more pieces."""
+        """Test lines of sight from a place to some more pieces."""
         n, begin = len(self._points), self._done.get(p, 0)
         end = min(begin + max(-(-n // BLOCKS), 16), n)
         if p not in self._needed:
@@ -254,7 +258,7 @@ class Search:
         self._done[p] = end
 
     def _seen(self, camera: int) -> Array:
-        """(n,) q with its light of the pieces that a camera sees, all of which were tested; NaN of others."""
+        """(n,) q with its light of the pieces that a camera sees, all of which were tested; NaN for others."""
         p = int(np.searchsorted(self.cams.first, camera, "right")) - 1
         out = np.empty(len(self._points))
         qualities(self._cameras, camera, self._pieces, out)
@@ -262,7 +266,7 @@ class Search:
         return np.where(out > 0.0, out * self.light, np.nan)
 
     def _above(self) -> None:
-        """Raise targets onto a level's ground where that lies above them."""
+        """Raise targets onto a level's ground if that is above them."""
         from orograph.measuring.viewshed_kernels import ground_at
 
         for i, (x, y) in enumerate(self._at):

@@ -1,8 +1,8 @@
-"""What a best view shows: a target of points, tracks and areas on the ground, in small *pieces*.
+"""The target of a best view: points, tracks and areas on the ground, in small *pieces*.
 
-An area is a lattice of places, each for as much ground as belongs to it; a track is cut into short lines; a point is
-one piece. Every geometry counts the same, whatever its size: its pieces share a weight of 1 by surface area, by length,
-or evenly. Pieces beside the terrain or in its holes count as never seen and are left out, with a warning.
+An area is a lattice of places, each with its share of the ground; a track is cut into short lines; a point is one
+piece. Every geometry counts equally, whatever its size: its pieces share a weight of 1 by surface area, by length, or
+evenly. Pieces outside the terrain or in its holes count as never visible and are left out, with a warning.
 
 Units: metres in the terrain's CRS, float64.
 """
@@ -26,8 +26,8 @@ from orograph.store.terrain import Terrain
 Array = NDArray[np.float64]
 
 POINT, TRACK, AREA = 0, 1, 2
-"""Kinds of pieces: their dimension, which is the power of the distance with which they shrink in a picture (a point's
-with the first, as a track's)."""
+"""Kinds of pieces: their dimension, which is the power of the distance by which they shrink in a picture (for a point
+1, as for a track)."""
 
 KINDS = {"Point": POINT, "LineString": TRACK, "Polygon": AREA}
 
@@ -42,9 +42,9 @@ class Target:
     Attributes:
         points: (n, 3) easting, northing and height of each.
         kind: (n,) int64, ``POINT``, ``TRACK`` or ``AREA``; points are first, areas last.
-        axis: (n, 3) the unit normal of an area's piece, the unit direction of a track's; zero of a point's.
-        weight: (n,) of each, 1 in all (less by what lies beside the terrain).
-        owner: (n,) int64, the number of the geometry it belongs to. count: how many geometries there are.
+        axis: (n, 3) the unit normal of an area's piece, the unit direction of a track's; zero for a point's.
+        weight: (n,) of each, 1 in all (less the part outside the terrain).
+        owner: (n,) int64, the number of its geometry. count: the number of geometries.
     """
 
     points: Array
@@ -99,8 +99,8 @@ def read_target(terrain: Terrain, given: Any, pieces: int, progress: Progress = 
     axis[kind == AREA] = np.column_stack([-slopes, np.ones(len(places))])[kind == AREA]
     axis[kind == TRACK] = np.column_stack([along, (along * slopes).sum(1)])[kind == TRACK]
     length = np.linalg.norm(axis, axis=1)
-    length[~(length > 0)] = 1.0  # of points, and of what has no ground
-    size, axis = size * length, axis / length[:, None]  # of the ground, not of its plan
+    length[~(length > 0)] = 1.0  # of points, and of pieces without ground
+    size, axis = size * length, axis / length[:, None]  # of the ground, not in plan
     known = np.isfinite(heights)
     if not known.any():
         raise UsageError(
@@ -184,7 +184,7 @@ def _flat(kind: int, parts: list[Array], pieces: int) -> _Flat:
 
 
 def _track(parts: list[Array], pieces: int) -> _Flat:
-    """Short lines, as long as each other, by their middles."""
+    """Short lines of equal length, given by their middles."""
     ends = np.concatenate([np.stack([part[:-1], part[1:]], 1) for part in parts])
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     ends, length = ends[length > 0], length[length > 0]
@@ -206,7 +206,7 @@ def _area(rings: list[Array], pieces: int) -> _Flat:
         return _track(rings, pieces)
     step = math.sqrt(float(wide.prod()) / pieces)
     inside = np.zeros((0, 2))
-    for _ in range(8):  # a thin area fills little of its rectangle
+    for _ in range(8):  # a thin area fills only a small part of its rectangle
         n = np.maximum(np.ceil(wide / step).astype(int), 1)
         x, y = (low[i] + (np.arange(n[i]) + 0.5) * wide[i] / n[i] for i in (0, 1))
         lattice = np.stack([a.ravel() for a in np.meshgrid(x, y)], -1)
@@ -220,7 +220,7 @@ def _area(rings: list[Array], pieces: int) -> _Flat:
 
 
 def _within(places: Array, rings: list[Array]) -> NDArray[np.bool_]:
-    """(n,): places inside rings, by how many edges lie to their east."""
+    """(n,): whether places are inside rings, by the number of edges to their east."""
     a = np.concatenate(rings)
     b = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings])
     out = np.zeros(len(places), bool)
@@ -246,7 +246,7 @@ def _ground(terrain: Terrain, places: Array) -> tuple[Array, Array]:
 
 
 def _where(terrain: Terrain, places: Array) -> str:
-    """Where the target lies and where the terrain does."""
+    """The extents of the target and of the terrain, as text."""
     rows, cols = terrain.grid.shape
     x, y = terrain.grid.xy(np.array([0, cols - 1, 0, cols - 1]), np.array([0, 0, rows - 1, rows - 1]))
     (w, s), (e, n) = places.min(0), places.max(0)

@@ -1,7 +1,7 @@
 """The views that show a target best: the result of ``orograph.best_view``, and how it is saved.
 
 The score and its parts are in docs/best-view.md; ``best_target``, ``best_cameras`` and ``best_search`` have the target,
-the cameras that are allowed, and the search.
+the allowed cameras, and the search.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class BestView:
     """A view of a target.
 
     Attributes:
-        view: the camera. score: how well it shows the target, 0 to 1; gain: what it adds to the views before it.
-        visible: the share of the target's weight that is in its picture and not hidden, 0 to 1.
+        view: the camera. score: how well it shows the target, 0 to 1; gain: over the views before it.
+        visible: the visible share of the target's weight, 0 to 1.
         geometries: the same for each geometry of the target.
     """
 
@@ -57,7 +57,7 @@ class BestViews:
 
     Attributes:
         views: the views. together: the score of all of them, 0 to 1.
-        cameras: how many were allowed. pieces: of the target. looks: lines of sight that it took.
+        cameras: the number of allowed ones. pieces: of the target. looks: the number of tested lines of sight.
         level: the terrain's level on which they were tested, 0 unless the ground is too large for memory.
     """
 
@@ -79,7 +79,7 @@ class BestViews:
         return [one.to_dict() for one in self.views]
 
     def save(self, path: str | os.PathLike[str]) -> list[str]:
-        """Write them as one JSON list, and each beside it as a VIEW.json of its own: NAME-1.json, NAME-2.json…
+        """Write them as one JSON list, and each as a separate VIEW.json beside it: NAME-1.json, NAME-2.json…
 
         Returns:
             the names of those. Raises OutputError: one cannot be written.
@@ -125,13 +125,13 @@ def search(
 
 
 def singles(path: str | os.PathLike[str], count: int) -> list[str]:
-    """The files of single views beside that of all."""
+    """The files of single views beside the file of all."""
     whole = Path(path)
     return [str(whole.with_name(f"{whole.stem}-{i + 1}{whole.suffix}")) for i in range(count)]
 
 
 def gathered(search: Search, found: list[Found], cams: Cameras, target: Target) -> BestViews:
-    """What a search found."""
+    """The result of a search."""
     views = []
     for one in found:
         seen = ~np.isnan(one.quality)

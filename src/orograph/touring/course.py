@@ -1,15 +1,14 @@
 """A tour above a terrain: kept off the ground, and graded so that frames do not flicker.
 
-**Clearance.** With ``above_ground`` the eye is lifted wherever the path comes nearer to the ground than that. The lift
-that is needed, sampled along the path, is dilated over ``SOFT`` seconds to both sides and then averaged over as many: a
-mean of values of which each is at least what is needed in its middle. So the lifted path keeps its distance at every
+**Clearance.** With ``above_ground``, the eye is lifted wherever the path comes closer to the ground than that. The
+required lift, sampled along the path, is dilated over ``SOFT`` seconds to both sides and then averaged over the same
+time: each value in the mean is at least the lift required in its middle. So the lifted path keeps its distance at every
 sample, and its velocity is continuous (the mean is weighted by a smooth bump). The target stays where it is.
 
-**Grading.** What a single picture takes from the ground it happens to show (how much relief is strengthened, between
-which depths haze grows) would jump from frame to frame. It is taken from small pictures along the tour, ``GRADED``
-seconds apart, and interpolated. It depends on the tour only: a frame is the same in whichever part of it is drawn.
-
-Units: seconds, metres.
+**Grading.** The settings that a single picture derives from the ground in view (how much relief is strengthened,
+between which depths haze grows) would jump from frame to frame. They are derived from small pictures along the tour,
+``GRADED`` seconds apart, and interpolated. They depend only on the tour: a frame is the same in whichever part of it is
+drawn. Units: seconds, metres.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ Array = NDArray[np.float64]
 
 SOFT = 1.0
 STEP = 1 / 30
-"""The most seconds from one sample of the ground to the next."""
+"""Maximum seconds between two samples of the ground."""
 
 GRADED = 1.0
 PREVIEW = (320, 180)
@@ -51,11 +50,11 @@ class Course:
     """A tour above a terrain.
 
     Args:
-        tour, terrain: see there.
+        tour, terrain: see their classes.
         progress: reports to it.
 
     Attributes:
-        lifted: the most by which the eye is lifted, metres.
+        lifted: the largest lift of the eye, metres.
     """
 
     def __init__(self, tour: Tour, terrain: Terrain, progress: Progress = SILENT) -> None:
@@ -79,7 +78,7 @@ class Course:
         steps = max(2, math.ceil(tour.duration / min(STEP, 1 / tour.fps)))
         times = tour.times[0] * tour.loop + np.linspace(0.0, tour.duration, steps + 1)
         eyes = np.array([tour.at(t).eye for t in times])
-        # As many samples again where the eye passes several samples of the ground in a step.
+        # Use more samples where the eye passes several samples of the ground in a step.
         move = np.linalg.norm(np.diff(eyes[:, :2], axis=0), axis=1).max(initial=0.0)
         finer = min(64, max(1, math.ceil(move / max(self.terrain.grid.spacing))))
         between = np.linspace(0.0, 1.0, finer, endpoint=False)
@@ -87,7 +86,7 @@ class Course:
         fine = np.concatenate([fine, eyes[-1:]])
         need = highest(self.terrain, fine[:, :2]) + least - fine[:, 2]
         need = np.where(np.isfinite(need), np.maximum(need, 0.0), 0.0)
-        # Each step needs what its middle, and the way to both neighbours, need.
+        # Each step needs the lift of its middle, and of the way to both neighbours.
         padded = np.concatenate([need, np.zeros(finer)])
         each = np.array([padded[max(k * finer - finer, 0) : k * finer + finer + 1].max() for k in range(steps + 1)])
         self.lifted = float(each.max())
@@ -97,8 +96,11 @@ class Course:
 
 
 def eased(need: Array, reach: int, loop: bool = False) -> Array:
-    """A smooth sequence (n,) that is nowhere below ``need`` (n,): dilated over ``reach`` to both sides, then averaged
-    over as many with the weights of a raised cosine. With ``loop`` the last is the first again."""
+    """A smooth sequence (n,) that is nowhere below ``need`` (n,).
+
+    It is dilated over ``reach`` to both sides, then averaged over the same reach with the weights of a raised cosine.
+    With ``loop``, the first follows the last.
+    """
     from scipy.ndimage import maximum_filter1d
 
     values = need[:-1] if loop else need
@@ -112,9 +114,9 @@ def eased(need: Array, reach: int, loop: bool = False) -> Array:
 
 
 def highest(terrain: Terrain, places: Array) -> Array:
-    """The highest of the four samples around each place (n, 2) in the terrain's CRS, metres: no less than the surface.
+    """The highest of the four samples around each place (n, 2) in the terrain's CRS, metres: no lower than the surface.
 
-    NaN beside the terrain and where all four are missing.
+    NaN outside the terrain and where all four are missing.
     """
     rows, cols = terrain.grid.shape
     col, row = (np.asarray(v, np.float64) for v in terrain.grid.index(places[:, 0], places[:, 1]))
@@ -137,7 +139,7 @@ def highest(terrain: Terrain, places: Array) -> Array:
 
 
 class Grading:
-    """What frames take from the ground in view, smooth over the tour (see the module's text).
+    """Settings that frames derive from the ground in view, smooth over the tour (see the module).
 
     Args:
         course: the tour.
@@ -173,7 +175,7 @@ class Grading:
         self.channels = [Monotone([f[0] for f in found], np.log([max(f[k], 1e-3) for f in found])) for k in (1, 2, 3)]
 
     def settings(self, time: float) -> dict[str, Any]:
-        """What a frame's scene gets: ``relief`` and ``depths``."""
+        """The settings for a frame's scene: ``relief`` and ``depths``."""
         relief, near, far = (math.exp(c(time)) for c in self.channels)
         return {"relief": relief, "depths": (near, max(far, near))}
 

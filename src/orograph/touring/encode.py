@@ -1,9 +1,9 @@
 """Frames into a file: H.264 (.mp4, .mov, .mkv), VP9 (.webm), an animated .gif, or pictures (frames/%05d.png).
 
 Video is yuv420p, with limited range and the matrix, primaries and transfer of ITU-R BT.709, converted and tagged so:
-players that trust the tags, and those that guess by the size, show the frames' own colours. FFmpeg does the work, by
+players that use the tags, and those that guess from the size, show the correct colours. FFmpeg does the work, by
 way of PyAV (``pip install 'orograph[movie]'``); pictures need nothing. A film appears whole or not at all; pictures one
-by one, each whole, so that a film of pictures can be taken up again.
+by one, each complete, so that a film of pictures can be resumed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Writer(Protocol):
         """The next frame: (height, width, 3) uint8, sRGB."""
 
     def has(self, number: int) -> bool:
-        """Whether this frame exists already and need not be drawn."""
+        """Whether this frame already exists and need not be drawn."""
 
     def __enter__(self) -> Self: ...
 
@@ -137,8 +137,8 @@ class Video:
     Args:
         path: ends in one of ``CODECS``. size: (width, height). fps: frames per second.
         crf: constant rate factor, lower is better; None: ``QUALITY``.
-        jobs: threads of the encoder; None: as it likes.
-        attribution: whom to name in the file's metadata (of a .gif, which has none, nobody is).
+        jobs: threads of the encoder; None: its default.
+        attribution: the credits in the file's metadata (a .gif has none).
     """
 
     def __init__(
@@ -192,7 +192,7 @@ class Video:
         return self
 
     def _palettes(self) -> Any:
-        """A filter that gives each frame the 256 colours that suit it best."""
+        """A filter that gives each frame its own 256 colours."""
         av = _av()
         graph = av.filter.Graph()
         source = graph.add_buffer(
@@ -256,15 +256,15 @@ class Video:
 
 
 class Pictures:
-    """One picture per frame; frames that are there already are kept.
+    """One picture per frame; existing frames are kept.
 
-    A hidden file beside them says which film they are of.
+    A hidden file beside them identifies the film.
 
     Args:
         path: with a number in its name, such as frames/%05d.png; its folder is made.
         fingerprint: of the film (``Film.fingerprint``): frames of another are never mixed with these.
-        overwrite: draw all frames anew. attribution: whom to name in the files' metadata.
-        dpi: dots per inch that they say; None: nothing.
+        overwrite: draw all frames again. attribution: the credits in the files' metadata.
+        dpi: dots per inch in their metadata; None: none.
     """
 
     def __init__(
@@ -306,7 +306,7 @@ class Pictures:
         return self
 
     def _tidy(self) -> None:
-        """Without a frame there is nothing to resume: remove the film's marker and the folders made for it."""
+        """Remove the film's marker and the folders made for it if there is no frame, and so nothing to resume."""
         with contextlib.suppress(OSError):
             if not self._frames():
                 remove(self.sign)
@@ -314,7 +314,7 @@ class Pictures:
                     folder.rmdir()
 
     def _frames(self) -> list[Path]:
-        """The frames that are there, of this film or another."""
+        """The existing frames, of this film or another."""
         before, after = NUMBERED.split(self.path.name)[0], NUMBERED.split(self.path.name)[-1]
         pattern = re.compile(re.escape(before % ()) + r"\d+" + re.escape(after % ()))
         return [f for f in self.path.parent.iterdir() if pattern.fullmatch(f.name)]

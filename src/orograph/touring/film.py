@@ -1,8 +1,8 @@
-"""A film: the frames of a tour over a terrain, drawn one by one by whatever backend, and written where they are wanted.
+"""A film: the frames of a tour over a terrain, drawn one by one by a backend, and written to a destination.
 
 The seam to the backends is ``backends.Session``: a scene in, a finished picture out, with all of its tiles. The CPU
-caster's keeps between frames what they have in common (``memo``); any frame is the same whatever was drawn
-before it, so that films can be made in parts and taken up again.
+caster's session keeps data that frames share (``memo``); a frame does not depend on those drawn before it, so films can
+be made in parts and resumed.
 
 Units: seconds, pixels.
 """
@@ -34,28 +34,28 @@ from orograph.touring.playing import Playing
 from orograph.touring.tour import Tour
 
 PACE, INSTANT = 3.0, 0.1
-"""Seconds over which scenarios of a flight change, at least; half of those that a camera's speed is measured in."""
+"""Minimum seconds over which scenarios of a flight change; half the seconds over which a camera's speed is measured."""
 
 WAYPOINTS = 9
-"""Places of a tour that an interval of contour lines is to suit."""
+"""Places of a tour that the interval of contour lines must suit."""
 
 
 class Film:
     """The frames of a tour.
 
     Args:
-        tour: the camera, and what it says of light and scene.
-        scene: all else that is drawn: its view gives the size, the tour the camera; where the tour says no sun (or
-            exaggeration, …) the scene's holds.
+        tour: the camera, and its settings of light and scene.
+        scene: everything else: its view gives the size, the tour the camera; if the tour sets no sun (or exaggeration,
+            …), the scene's is used.
         draw: the backend; None: the CPU caster.
         fps: frames per second; None: the tour's.
-        first, last: the part of the tour that is wanted, seconds; None: from its beginning, to its end.
-        playing: data that change while it runs, the scene's being those of the first frame; None: none change.
+        first, last: the part of the tour to film, seconds; None: from its beginning, to its end.
+        playing: data that change during the film; the scene has those of the first frame; None: none change.
         progress: gets the progress of preparations.
 
     Attributes:
-        numbers: of the frames that are wanted, from 0 at the tour's beginning. given: the scene. kept: what was read
-            of data, for the frames that follow.
+        numbers: of the frames to film, from 0 at the tour's beginning. given: the scene. kept: data that were read, for
+            the next frames.
 
     Raises:
         UsageError: the part has no frame. NothingInViewError: the tour never shows the terrain.
@@ -95,7 +95,7 @@ class Film:
         """The film of a tour over a terrain.
 
         Args:
-            again: makes the tour, ``also`` being further positions (n, 3) to keep in view; None: its cameras are given.
+            again: makes the tour, with further positions ``also`` (n, 3) to keep in view; None: its cameras are given.
             passage: of the sun over the whole tour; None: the tour's own, or none.
             size: (width, height) of its frames. options: of its scene, by name. Others: as of a film.
 
@@ -153,14 +153,14 @@ class Film:
             ) from error  # fmt: skip
 
     def fingerprint(self) -> str:
-        """A name for what every frame looks like: of the tour, the scene's options and the terrain, in short."""
-        told = {"tour": self.tour.to_dict(), **self.base.summary()}
+        """An identifier of every frame's content: of the tour, the scene's options and the terrain."""
+        content = {"tour": self.tour.to_dict(), **self.base.summary()}
         if self.playing is not None:
-            told["played"] = self.playing.data
-        return hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()[:32]
+            content["played"] = self.playing.data
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
     def _base(self, number: int) -> Scene:
-        """The scene of a frame but for its camera, and what else the tour says."""
+        """The scene of a frame without its camera, with the tour's other settings."""
         if self.playing is None:
             return self.base
         key = self.playing.key(number)
@@ -171,8 +171,11 @@ class Film:
         return self._shown[1]
 
     def _lined(self, scene: Scene) -> Scene:
-        """A scene, and its variants, with contour lines for a film: one interval for all of it (the median of what
-        suits along the way), labels that come and go by degrees."""
+        """A scene and its variants, with contour lines for a film.
+
+        There is one interval for the whole film (the median of the suitable ones along the way); labels fade in and
+        out.
+        """
         variants = tuple(replace(one, scene=self._lined(one.scene)) for one in scene.variants)
         contours = scene.annotations.contours
         if contours is None:
@@ -198,13 +201,15 @@ class Film:
         if not any(isinstance(one.weight, Flown) for one in scene.variants):
             return scene
         flown = [one.weight for one in scene.variants if isinstance(one.weight, Flown)]
-        told = self._shares(time, flown[0])
-        variants = (replace(one, weight=replace(weight, filmed=told)) for one, weight in zip(scene.variants, flown))
+        shares = self._shares(time, flown[0])
+        variants = (replace(one, weight=replace(weight, filmed=shares)) for one, weight in zip(scene.variants, flown))
         return replace(scene, variants=tuple(variants))
 
     def _shares(self, time: float, flown: Flown) -> tuple[float, float, float]:
-        """How much of its scenarios a flight shows, on average over ``PACE`` seconds around a time: so they change by
-        degrees, even where the camera stops at once."""
+        """The shares of the scenarios that a flight shows, averaged over ``PACE`` seconds around a time.
+
+        So they change gradually, even where the camera stops at once.
+        """
         found = []
         for t in np.clip(time + PACE * np.linspace(-0.5, 0.5, WAYPOINTS * 2 - 1), 0.0, self.tour.duration):
             first, last = max(t - INSTANT, 0.0), min(t + INSTANT, self.tour.duration)
@@ -216,6 +221,6 @@ class Film:
 
 
 def spoken(tour: Tour) -> Sequence[str]:
-    """What of the scene a tour says itself: "sun", "layers" and names of ``keys.SETTINGS``."""
-    more = [name for name, said in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if said is not None]
+    """The parts of the scene that a tour sets: "sun", "layers" and names of ``keys.SETTINGS``."""
+    more = [name for name, value in (("sun", tour.sun(0.0)), ("layers", tour.layers(0.0))) if value is not None]
     return [*more, *tour.settings(0.0)]

@@ -1,8 +1,8 @@
 """Frames of a film drawn by several processes: each frame is a task (``store.executing``), and a picture in a folder.
 
-A worker has the tour and the scene, opens the terrain itself, and refuses if its film is another than that of the
-process that films. Frames are the same whatever was drawn before them; those that are there are not drawn again. A
-video is encoded by one process out of such pictures, which lose nothing, in their order.
+A worker has the tour and the scene, opens the terrain itself, and refuses if its film differs from the coordinating
+process's. Frames do not depend on those drawn before them; existing ones are not drawn again. One process encodes a
+video from such lossless pictures, in order.
 """
 
 from __future__ import annotations
@@ -33,12 +33,13 @@ Warned = tuple[str, ...]
 
 
 class FilmRecipe(NamedTuple):
-    """Everything that workers get once for a film.
+    """What workers receive once for a film.
 
     Attributes:
-        tour, scene: of the film, its frames per second being the tour's. numbers: of its first frame, and the one
-            behind its last. backend: that draws. path: of the pictures. dpi: that they say. fingerprint: of the film.
-        memory, base: as of all recipes. playing: of the film.
+        tour, scene: of the film; the tour has its frame rate. numbers: of its first frame, and of the
+            one after its last. backend: that draws. path: of the pictures. dpi: in their metadata. fingerprint: of the
+            film.
+        memory, base: as for all recipes. playing: of the film.
     """
 
     tour: Tour
@@ -80,12 +81,12 @@ def recipe_of(film: Film, path: str, backend: str, dpi: float | None, max_memory
 
 
 def pictures_of(path: str, film: Film, dpi: float | None, overwrite: bool = False) -> Pictures:
-    """What the frames of a film are written to, and found in."""
+    """Where the frames of a film are written and found."""
     return Pictures(path, film.fingerprint(), overwrite, film.base.attribution, dpi)
 
 
 class _FilmState:
-    """What one process has for a film."""
+    """The state of one process for a film."""
 
     def __init__(self, frames: Frames) -> None:
         self._frames = frames
@@ -98,7 +99,7 @@ class Frames(Stage[Warned]):
     """The frames of a film; the tasks are their numbers.
 
     Args:
-        film: that draws them. pictures: where they are. then: is called with each, in their order, when it is there.
+        film: draws them. pictures: where they are. then: is called with each, in order, when it is complete.
     """
 
     name = "frames"
@@ -155,7 +156,7 @@ def frames_of(video: str) -> str:
 
 
 def draw_part(stage: Frames, part: Part, progress: Progress) -> int:
-    """Draw a part's share of the frames, those that are not there; how many."""
+    """Draw a part's share of the frames, without existing ones; returns their number."""
     own = share(stage.tasks(), part)
     drawn = 0
     with progress.task(f"Filming part {part[0]} of {part[1]}", total=len(own)) as task:
@@ -186,7 +187,7 @@ def pixels_of(path: Path) -> Pixels:
 
 
 def encoder(video: Video, pictures: Pictures) -> Callable[[int], None]:
-    """What puts one frame after the other into a video."""
+    """A function that adds one frame after the other to a video."""
     return lambda number: video.add(number, pixels_of(pictures.of(number)))
 
 

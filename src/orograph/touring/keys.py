@@ -5,10 +5,10 @@ A key gives the camera in one of three ways, in the terrain's CRS or, with ``crs
 - ``eye`` and ``target``, as VIEW.json has them;
 - ``target``, ``azimuth``, ``pitch`` and ``distance``: the eye stands at that azimuth of the target (degrees clockwise
   from grid north), looks down by ``pitch`` degrees, from ``distance`` metres;
-- ``eye``, ``heading`` and ``pitch`` (and, if wanted, ``distance``, to the point the camera turns about): it looks
+- ``eye``, ``heading`` and ``pitch`` (optionally ``distance``, to the point about which the camera turns): it looks
   towards the heading, down by ``pitch`` degrees.
 
-Angles are those of the true, not the stretched ground. Units: seconds, metres, degrees.
+Angles are those of the true ground, not of the stretched one. Units: seconds, metres, degrees.
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from orograph.scene.parts import check_exaggeration
 from orograph.viewpoint import Point, View
 
 Path = Literal["spline", "orbit", "zoom"]
-"""How the camera moves from a key to the next."""
+"""How the camera moves from one key to the next."""
 
 SETTINGS = ("exaggeration", "tolerance", "relief", "water")
-"""What a key may set in the scene, besides its sun: numbers, as in ``picture.Scene``."""
+"""Numbers of the scene that a key may set, in addition to its sun."""
 
 CAMERA = ("eye", "target", "up", "fov_y", "width", "height", "near", "far", "projection", "crs")
 ANGLES = ("azimuth", "heading", "pitch", "distance")
 WAY = ("time", "hold", "stop", "path", "turns")
 FIELDS = (*WAY, *CAMERA, *ANGLES, "sun", *SETTINGS, "layers")
 INHERITED = ("up", "fov_y", "width", "height", "near", "far", "projection", "crs", "path", "sun", *SETTINGS, "layers")
-"""What may be given once for all keys."""
+"""Fields that may be given once for all keys."""
 
 ARM = 1000.0
 """Metres from the eye to the target of a key with a heading and no distance."""
@@ -48,14 +48,14 @@ class Key:
 
     Attributes:
         view: the camera, in the terrain's CRS.
-        time: seconds from the tour's beginning; None: it follows from the tour's speed.
+        time: seconds from the tour's beginning; None: follows from the tour's speed.
         hold: seconds for which the camera stays. stop: whether it comes to rest here, without staying.
         path: how it continues from here: along a smooth curve through the keys ("spline"), about the target
             ("orbit"), or up, across and down as in a zoomable map ("zoom").
-        turns: with "orbit": full turns besides the shorter way round, clockwise seen from above; negative: the other.
+        turns: with "orbit": full turns besides the shorter way round, clockwise from above; negative: anticlockwise.
         sun: a direction or a moment; None: as before and after.
         exaggeration, tolerance, relief, water: see ``picture.Scene``; None: as before and after.
-        layers: laid over the ground, bottom to top; a layer that the next key has not fades. None: as before and after.
+        layers: over the ground, bottom to top; a layer that the next key lacks fades. None: as before and after.
     """
 
     view: View
@@ -125,7 +125,7 @@ class Key:
         return cls(view, **more)
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``from_dict`` reads."""
+        """The input of ``from_dict``."""
         values: dict[str, Any] = {} if self.time is None else {"time": self.time}
         default = Key(self.view)
         for name in ("hold", "stop", "path", "turns", *SETTINGS):
@@ -153,12 +153,12 @@ def _layers(value: Any) -> tuple[Layer, ...]:
 
 
 def has_camera(values: Mapping[str, Any]) -> bool:
-    """Whether a key's JSON says where its camera is."""
+    """Whether a key's JSON gives its camera."""
     return values.get("eye") is not None or values.get("target") is not None
 
 
 def staying(before: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
-    """A key's JSON with the camera of the key before, in its CRS, but for what the key says of it itself."""
+    """A key's JSON with the camera of the key before, in its CRS, except for the camera fields of its own."""
     return {**{k: before[k] for k in (*CAMERA, *ANGLES) if k in before}, **values, "crs": before.get("crs")}
 
 
@@ -169,7 +169,7 @@ def looking(heading: float, pitch: float) -> Point:
 
 
 def _camera(given: Mapping[str, Any], crs: Any) -> dict[str, Any]:
-    """VIEW.json's keys, whichever way the camera is given."""
+    """VIEW.json's keys, from any form of camera."""
     plain = {k: given[k] for k in CAMERA if k in given}
     angles = [name for name in ANGLES if name in given]
     if not angles:

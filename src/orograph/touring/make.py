@@ -1,7 +1,7 @@
-"""Tours that make themselves: around a terrain, the terrain on a turntable, along a line over the ground.
+"""Ready-made tours: around a terrain, the terrain on a turntable, along a line over the ground.
 
-- ``orbit``: the camera goes once round the terrain, all of it in the picture from every side; a loop.
-- ``turntable``: the same, but the light turns with the camera, as if the terrain were turned before it.
+- ``orbit``: the camera goes once round the terrain, with all of it in the picture from every side; a loop.
+- ``turntable``: the same, but the light turns with the camera, as if the terrain were turned in front of it.
 - ``still``: the camera stays, for data that change.
 - ``flyover``: along a line (a road, a valley, a GPX track) at an even speed and a height above the ground, looking
   ahead along the line.
@@ -37,25 +37,25 @@ from orograph.viewpoint import View
 Array = NDArray[np.float64]
 
 SIDES = 24
-"""Azimuths from which an orbit's whole terrain is held in the picture."""
+"""Azimuths from which the whole terrain of an orbit must fit into the picture."""
 
 TURNTABLE_KEYS = 6
 
 SECONDS = 12.0
-"""For once round."""
+"""Seconds for one turn."""
 
 CLEAR = 0.02
-"""Of its distance to a place that it goes round an eye keeps above the ground: hills may stand around."""
+"""Height above the ground of an eye that orbits a place, as a part of its distance: there may be hills around."""
 
 CRUISE = 12.0
-"""Seconds in which a fly-over crosses as much as it is high above the ground, times ``AHEAD``: a speed that feels even
-whatever the scale."""
+"""Seconds in which a fly-over covers its height above the ground times ``AHEAD``: a speed that looks even at any
+scale."""
 
 AHEAD = 4.0
-"""Heights above the ground that a fly-over looks ahead, along its line."""
+"""How far a fly-over looks ahead along its line, in heights above the ground."""
 
 KEYS_PER_LOOK = 3.0
-"""Keys on the way to what it looks at."""
+"""Keys between the eye and the point it looks at."""
 
 
 @takes_terrain
@@ -64,12 +64,12 @@ def orbit(
     distance: float | None = None, fov_y: float = 30.0, turns: int = 1, exaggeration: float = 1.0,
     around: Sequence[float] | None = None, also: Array | None = None,
 ) -> Tour:  # fmt: skip
-    """Once round the terrain, at even speed: a loop.
+    """Once round the terrain at an even speed: a loop.
 
     Args:
         size: (width, height) of the pictures. seconds: for all turns.
-        azimuth: the side that it begins from. turns: clockwise seen from above; negative: the other way.
-        pitch, distance: as for ``camera.around``; None: from as near as leaves all of it in view from every side.
+        azimuth: the side where it begins. turns: clockwise seen from above; negative: anticlockwise.
+        pitch, distance: as for ``camera.around``; None: the shortest from which all of it is in view on every side.
         around: (longitude, latitude[, radius]): a place to orbit instead, with this many metres of ground around it
             in view (a quarter of the terrain's shorter side, if neither this nor the distance is given); the eye keeps
             above the ground.
@@ -98,10 +98,10 @@ def turntable(
     azimuth: float = 180.0, pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0,
     exaggeration: float = 1.0, around: Sequence[float] | None = None, also: Array | None = None,
 ) -> Tour:  # fmt: skip
-    """The terrain turned once before a camera and a sun that stay: a loop. Arguments as for ``orbit``.
+    """The terrain turned once in front of a fixed camera and sun: a loop. Arguments as for ``orbit``.
 
     Args:
-        sun: where it stands as the tour begins.
+        sun: its position at the beginning of the tour.
     """
     once = orbit(terrain, size, seconds=seconds, azimuth=azimuth, pitch=pitch, distance=distance, fov_y=fov_y,
                  exaggeration=exaggeration, around=around, also=also)  # fmt: skip
@@ -119,11 +119,11 @@ def still(
     pitch: float = 35.0, distance: float | None = None, fov_y: float = 30.0, exaggeration: float = 1.0,
     around: Sequence[float] | None = None, insets: camera.Insets = camera.NO_INSETS, also: Array | None = None,
 ) -> Tour:  # fmt: skip
-    """A camera that stays. Arguments as for ``orbit``.
+    """A fixed camera. Arguments as for ``orbit``.
 
     Args:
         insets: parts of the picture to leave free, as for ``camera.around``.
-        plan: it looks straight down on the whole terrain, as on a map; nothing else then says where it is.
+        plan: it looks straight down on the whole terrain, as on a map; excludes all other arguments of its place.
     """
     if not 0 < seconds < math.inf:
         raise UsageError(f"A film takes some seconds, more than 0, not {seconds:g}.")
@@ -147,7 +147,7 @@ def flyover(
     Args:
         line: (n, 2) places in the terrain's CRS.
         height: metres above the ground; None: a fifteenth of the line, from 50 to 3000 m.
-        speed: metres per second; None: one that suits the height. seconds: how long it takes, instead of a speed.
+        speed: metres per second; None: one that suits the height. seconds: the duration, instead of a speed.
 
     Raises:
         UsageError: the line has no length, lies beside the terrain or goes far beyond it; a number is out of range.
@@ -180,12 +180,12 @@ def flyover(
     stations = np.linspace(0.0, far[-1], count)
 
     def place(at: Array) -> Array:
-        """Places along the line, which goes straight on beyond its end."""
+        """Places along the line, which continues straight beyond its end."""
         inside = np.stack([np.interp(at, far, line[:, k]) for k in (0, 1)], 1)
         on = (line[-1] - line[-2]) / np.linalg.norm(line[-1] - line[-2])
         return np.asarray(inside + np.maximum(at - far[-1], 0.0)[:, None] * on)
 
-    # Smoothed as finely as the camera looks ahead: it need not follow each bend of a path.
+    # Smooth it by the distance that the camera looks ahead, so that it does not follow each bend of a path.
     window = np.linspace(-0.5, 0.5, 9) * ahead / KEYS_PER_LOOK
     eyes = np.mean([place(np.clip(stations + w, 0, far[-1])) for w in window], axis=0)
     eyes[[0, -1]] = line[[0, -1]]
@@ -200,7 +200,7 @@ def flyover(
     tour = Tour(tuple(keys), speed=speed, above_ground=height / 2)
     if seconds is None:
         return tour
-    # The way's length follows from the time at a speed, and the speed from the time there is: both have ramps.
+    # The length follows from the time at a speed, and the speed from the available time: both have ramps.
     length = Cruise.length_of(tour.duration, speed)
     return Tour(tuple(keys), speed=Cruise.speed_for(length, seconds), above_ground=height / 2)
 
@@ -217,7 +217,7 @@ def _around(
     terrain: Terrain, size: tuple[int, int], azimuth: float, pitch: float, distance: float | None, fov_y: float,
     exaggeration: float, also: Array | None = None,
 ) -> View:  # fmt: skip
-    """The view of ``camera.around``, from so far that all of the terrain is in it from every side."""
+    """The view of ``camera.around``, from a distance at which the whole terrain is in view from every side."""
     view = camera.around(terrain, size, azimuth=azimuth, pitch=pitch, distance=1.0 if distance is None else distance,
                          fov_y=fov_y, exaggeration=exaggeration)  # fmt: skip
     if distance is not None:
@@ -237,7 +237,7 @@ def _around(
         sides.append(np.stack([right, np.cross(right, forward), forward], 1))
 
     def needed(drop: float) -> float:
-        """The distance from which all is in view if the camera aims ``drop`` below the middle."""
+        """The distance from which everything is in view if the camera aims ``drop`` below the middle."""
         far = 0.0
         for axes in sides:
             # At distance d a point is in the picture if |a| ≤ tx·(c + d) and |b| ≤ ty·(c + d).
@@ -245,8 +245,8 @@ def _around(
             far = max(far, float((np.abs(a) / tx - c).max()), float((np.abs(b) / ty - c).max()))
         return far
 
-    # What is near reaches farther from the picture's middle than what is far away, so the camera aims below the
-    # terrain's middle. The distance is convex in how far: a largest of linear functions.
+    # Near ground reaches farther from the picture's middle than far ground, so the camera aims below the terrain's
+    # middle. The distance is convex in the drop: a maximum of linear functions.
     span = float(np.linalg.norm(np.ptp(points[:, :2], axis=0)))
     drop = float(minimize_scalar(needed, bounds=(0.0, span), method="bounded", options={"xatol": 1e-4 * span}).x)
     far = needed(drop)
@@ -259,7 +259,7 @@ def _about(
     terrain: Terrain, size: tuple[int, int], around: Sequence[float], azimuth: float, pitch: float,
     distance: float | None, fov_y: float, exaggeration: float,
 ) -> View:  # fmt: skip
-    """The view of a place from a side, at a distance or with a radius of ground around it in view from every side."""
+    """The view of a place from a side, at a distance, or with a radius of ground around it in view from every side."""
     camera.check_around(azimuth, pitch, distance, exaggeration)
     if len(around) not in (2, 3):
         raise UsageError(f"A place to orbit must be (longitude, latitude[, radius]), not {around!r}.")
@@ -288,7 +288,7 @@ def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:
     """The line in a GPX or GeoJSON file: its longest track, route or LineString.
 
     Args:
-        crs: the terrain's CRS. line_crs: the file's, if it is GeoJSON in something else than longitude and latitude.
+        crs: the terrain's CRS. line_crs: the file's, if it is GeoJSON and not in longitude and latitude.
 
     Returns:
         (n, 2) float64 in the terrain's CRS.
@@ -312,7 +312,7 @@ def read_line(path: str | Path, crs: Any, line_crs: Any = None) -> Array:
 
 
 def longest(geojson: Any) -> list[tuple[float, float]]:
-    """The longest line (of most points) in GeoJSON: a mapping, or an object with ``__geo_interface__``.
+    """The longest line (with most points) in GeoJSON: a mapping, or an object with ``__geo_interface__``.
 
     Raises:
         UsageError: it is not GeoJSON, or holds no line.
@@ -359,7 +359,7 @@ def _gpx(text: str) -> list[list[tuple[float, float]]]:
 
 
 def _geojson(value: Any) -> list[list[tuple[float, float]]]:
-    """LineStrings of a GeoJSON object, however deep."""
+    """LineStrings of a GeoJSON object at any depth."""
     if not isinstance(value, dict):
         raise ValueError("it holds no JSON object")
     kind = value.get("type")

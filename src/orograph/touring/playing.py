@@ -1,8 +1,9 @@
-"""Data that change while a film runs: those of a span of times, and members in turn.
+"""Data that change during a film: over a span of times, or members in turn.
 
-Moments go evenly from one end of the span to the other; between two times of a series values are linear in time (of
-classes, those of the nearer), places of tracks too. Members are shown one after the other, again and again, each for as
-many frames as keep their changes to at most ``Uncertainty.rate`` a second. Whatever is shown, colours keep one scale.
+Moments go evenly from one end of the span to the other; between two times of a series, values are interpolated linearly
+in time (classes: those of the nearer time), and so are places of tracks. Members are shown one after the other, again
+and again, each for as many frames as limit changes to ``Uncertainty.rate`` a second. All frames share one scale of
+colours.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from orograph.progress import Progress
 from orograph.store.terrain import Terrain
 
 RATE = 2.0
-"""Members a second, where nothing is said."""
+"""Default number of members a second."""
 
 LOOKED_AT = 24
-"""Frames, evenly from all, whose values make the scale."""
+"""Number of evenly spaced frames whose values make the scale."""
 
 LOOKS = ("value", "exceeds", "style", "colormap", "range", "classes", "breaks", "hidden", "size", "opacity", "unit",
          "name", "uncertainty")  # fmt: skip
-"""What of a raster holds for its values, however they are found."""
+"""Properties of a raster that apply to its values, however they are found."""
 
 Key = tuple[tuple[str, int], ...]
 
@@ -46,11 +47,11 @@ class Played:
 
     Attributes:
         whole: as given, with the uncertainty that all frames share.
-        span: the first and the last moment, seconds since 1970; None: time stands still.
-        members: numbers of those in turn, none where they are not. hold: frames that each is shown.
-        scale: that all frames share; None: frames have the same anyway.
-        words: of rasters, which members there are, and how values between times are found; "": none are read ahead.
-        facts: what a reader must know (``Playing.facts``).
+        span: the first and the last moment, seconds since 1970; None: time does not change.
+        members: numbers of those shown in turn; none otherwise. hold: frames for which each is shown.
+        scale: that all frames share; None: frames have the same scale anyway.
+        words: for rasters, their members, and how values between times are found; "": none are read ahead.
+        facts: for the reader (``Playing.facts``).
     """
 
     whole: Dataset
@@ -62,7 +63,7 @@ class Played:
     facts: Mapping[str, Any] | None = None
 
     def key(self, number: int, last: int) -> tuple[str, int]:
-        """The moment and the member of a frame, of those numbered 0 to ``last``; "" and 0: none."""
+        """The moment and the member of a frame numbered 0 to ``last``; "" and 0: none."""
         moment = ""
         if self.span is not None:
             first, end = self.span
@@ -70,8 +71,10 @@ class Played:
         return moment, self.members[number // self.hold % len(self.members)] if self.members else 0
 
     def at(self, key: tuple[str, int], grid: Grid) -> Dataset:
-        """The data of a moment and a member; of rasters they are read, and say what they are in words that change as
-        little as can be from frame to frame."""
+        """The data of a moment and a member.
+
+        Rasters are read, with a description that changes as little as possible from frame to frame.
+        """
         one = self.bare(key)
         if self.words:
             field = read(one, grid)
@@ -83,7 +86,7 @@ class Played:
         return one if self.scale is None else self.scale.over(one)
 
     def bare(self, key: tuple[str, int]) -> Dataset:
-        """The same, not read and with no scale."""
+        """The same, unread and without a scale."""
         moment, member = key
         one = self.whole
         if moment:
@@ -100,7 +103,7 @@ class Playing(NamedTuple):
     """The data of a film, of which some change.
 
     Attributes:
-        options: of the film's scene, its data as given. data: each as it is played. last: the number of the last frame.
+        options: of the film's scene, its data as given. data: how each is played. last: the number of the last frame.
         fps: frames a second.
     """
 
@@ -111,7 +114,7 @@ class Playing(NamedTuple):
 
     @classmethod
     def of(cls, options: Mapping[str, Any], terrain: Terrain, frames: int, fps: float) -> Playing | None:
-        """What a film of so many frames plays; None: nothing changes.
+        """The changing data of a film with so many frames; None: nothing changes.
 
         Raises:
             UsageError: there is no such span, or there are no members. Others: as ``reading.read``.
@@ -146,7 +149,7 @@ class Playing(NamedTuple):
         return [dict(one.facts) for one in self.data if one.facts is not None]
 
     def tell(self, progress: Progress) -> None:
-        """Note what is played, in words."""
+        """Note in words what is played."""
         for fact in self.facts:
             words = []
             if "from" in fact:
@@ -164,7 +167,7 @@ class Playing(NamedTuple):
 
 
 def changes(one: Dataset) -> bool:
-    """Whether data change in a film: by a span of times, or by members in turn."""
+    """Whether data change during a film: over a span of times, or by members."""
     return _spans(one) or _in_turn(one)
 
 
@@ -228,14 +231,14 @@ def _turning(made: Played, bare: Dataset, grid: Grid, fps: float) -> Played:
 
 
 def _track(one: Dataset, moving: tuple[float, float]) -> Played:
-    """Tracks, whose scale is of all their samples whatever the moment."""
+    """Tracks, with a scale from all their samples at any moment."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     name = one.name or one.variable or "tracks"
     return Played(one, span, facts={"name": name, **_span_text(span, 0, "linear")})
 
 
 def _events(one: Dataset, moving: tuple[float, float]) -> Played:
-    """Points that happen: each is seen for a while after its time."""
+    """Point events: each is shown for a while after its time."""
     span = span_within([written(moment) for moment in moving], str(one.time))
     trail = trail_of(one, span)
     facts = {"name": one.name or one.variable or "points", **_span_text(span, 0, "events"), "trail_s": trail}
@@ -257,7 +260,7 @@ def _span(one: Dataset) -> tuple[float, float]:
 
 
 def members_of(one: Dataset, grid: Grid) -> tuple[int, ...]:
-    """Numbers, from 1, of the members that a dataset of one moment means: all where it says none.
+    """The members, from 1, of a dataset of one moment: all if it names none.
 
     Raises:
         UsageError: there is one.

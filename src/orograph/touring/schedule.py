@@ -1,8 +1,8 @@
-"""The schedule of a tour: its keys sorted into ways, where it rests, and, if it has a speed, the resulting times.
+"""The schedule of a tour: its keys grouped into ways, its rests and, if it has a speed, the resulting times.
 
-Keys i … j that are joined in the same manner are one way; a zoom joins two keys. A key with ``hold`` stands twice in
-its way, at both times. At rest are the ends of ways, unless the tour begins or ends there without easing, or loops in
-one way. Units: seconds, metres.
+Keys i … j that are joined in the same manner form one way; a zoom joins two keys. A key with ``hold`` occurs twice in
+its way, at both times. The camera is at rest at the ends of ways, unless the tour begins or ends there without easing,
+or loops in one way. Units: seconds, metres.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ RAMP = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Keys that are one way.
+    """Keys that form one way.
 
     Attributes:
         first, last: numbers of its first and last key; in a loop the first key is also number n.
-        loop: whether the way is the whole of a loop.
-        begins, ends: whether it is at rest at its first and its last key.
+        loop: whether the way is a whole loop.
+        begins, ends: whether the camera is at rest at its first and its last key.
     """
 
     first: int
@@ -143,7 +143,7 @@ def _given(keys: Sequence[Key], seconds: float | None, loop: bool) -> list[float
 
 
 def _parts(keys: Sequence[Key], loop: bool, ease: bool) -> list[Part]:
-    """The ways that keys make."""
+    """The ways that keys form."""
     n = len(keys)
     last = n if closed(keys, loop) else n - 1
     borders = [0]
@@ -164,7 +164,7 @@ def _parts(keys: Sequence[Key], loop: bool, ease: bool) -> list[Part]:
 
 
 def _knots(part: Part, keys: Sequence[Key], times: Sequence[float]) -> tuple[list[float], list[View], list[int]]:
-    """Times and views of a way, those of a hold twice, and which of them are at rest."""
+    """Times and views of a way, with holds twice, and which of them are at rest."""
     knots: list[float] = []
     views: list[View] = []
     rests: list[int] = []
@@ -203,7 +203,7 @@ def _way(
 def _paced(
     part: Part, keys: Sequence[Key], speed: float, aim: Literal["target", "direction"], began: float
 ) -> tuple[list[float], Pace | None]:
-    """The times of a way's keys that is gone at a speed, and for a spline the metres gone at each time.
+    """The times of the keys of a way with a given speed and, for a spline, the metres travelled at each time.
 
     Args:
         began: when the camera arrives at the first key.
@@ -249,10 +249,12 @@ def _paced(
 
 
 class Cruise:
-    """So many metres at a speed, from rest and to rest where asked: the speed follows 3x² − 2x³ over ``RAMP`` seconds.
+    """A distance travelled at a speed, from rest and to rest if requested.
+
+    The speed follows 3x² − 2x³ over ``RAMP`` seconds.
 
     Attributes:
-        seconds: how long it takes.
+        seconds: its duration.
     """
 
     def __init__(self, length: float, speed: float, from_rest: bool, to_rest: bool) -> None:
@@ -276,7 +278,7 @@ class Cruise:
 
     @staticmethod
     def length_of(seconds: float, speed: float) -> float:
-        """Metres travelled from rest to rest in some seconds at a speed."""
+        """The distance travelled from rest to rest in a time at a speed."""
         return speed * (seconds - RAMP if seconds >= 2 * RAMP else seconds / 2)
 
     @staticmethod

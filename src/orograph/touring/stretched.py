@@ -1,4 +1,4 @@
-"""A terrain with a picture's exaggeration, for judging how it looks."""
+"""A terrain with a picture's exaggeration, for judging its appearance."""
 
 from __future__ import annotations
 
@@ -37,6 +37,6 @@ class Stretched(Terrain):
         raise UsageError("A stretched terrain has no table of tiles.")
 
     def back(self, view: View) -> View:
-        """A view of it, as one of the terrain itself, to be stretched as much."""
+        """A view of it as a view of the original terrain, to be stretched by the same factor."""
         (x, y, z), (u, v, w) = view.eye, view.target
         return replace(view, eye=(x, y, z / self.times), target=(u, v, w / self.times))

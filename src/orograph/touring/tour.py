@@ -7,12 +7,12 @@
 A tour is made of *ways* (``ways``): neighbouring keys that are joined in the same manner. Where the manner changes, at
 keys that ``hold`` or ``stop``, and at both ends unless ``ease`` is off, the camera comes to rest; everywhere else
 position, direction and field of view have continuous velocities. It passes every key exactly, in time. With ``speed``
-the keys have no times: the eye goes at that many metres a second, speeding up and slowing down over ``RAMP`` seconds.
-With ``loop`` the last key leads to the first again, smoothly, at ``seconds``.
+the keys have no times: the eye moves at that many metres a second, with ramps of ``RAMP`` seconds.
+With ``loop`` the last key leads smoothly to the first again, at ``seconds``.
 
-Layers that a key says are as opaque as it says, and fade in between (``layers``). Numbers of the scene change as
-monotonic cubics through the keys that say them, a sun that is said as moments by its moment: shadows go as they went
-that day. A flight's file (``flight``) can be read as a tour's.
+Layers have the opacity that a key gives, and fade in between (``layers``). Numbers of the scene change as monotonic
+cubics through the keys that give them; a sun given by moments changes by its moment, so shadows move as they did that
+day. A flight's file (``flight``) can be read as a tour's.
 
 Units: seconds; metres and degrees as in ``View``.
 """
@@ -43,7 +43,7 @@ FORMAT = 1
 """The version of the file's format; ``"tour": 1`` in the file gives it, and may be omitted."""
 
 SIZE = (("width", 1280), ("height", 720))
-"""Pixels of a tour that does not say any."""
+"""Default size of a tour's frames, pixels."""
 
 OWN = ("tour", "fps", "seconds", "loop", "ease", "aim", "speed", "above_ground", "keys")
 
@@ -55,13 +55,13 @@ class Tour:
 
     Attributes:
         keys: the key frames.
-        seconds: how long it takes; None: to the last key and its hold, or with a speed as long as that needs.
+        seconds: its duration; None: up to the last key and its hold or, with a speed, as long as that needs.
         fps: frames per second.
-        loop: the last key leads to the first again.
+        loop: whether the last key leads to the first again.
         ease: it begins and ends at rest (never in a loop).
         aim: what is interpolated: the "target", so that the target stays in view, or the "direction" of view.
         speed: metres per second of the eye; None: the keys have times.
-        passage: the sun's from beginning to end, evenly in time, whatever the keys say; None: the keys' suns.
+        passage: of the sun from beginning to end, evenly in time, instead of the keys' suns; None: the keys' suns.
         above_ground: metres that the eye stays above the ground, where a terrain is given (``course``); None: wherever
             the path leads.
 
@@ -91,7 +91,7 @@ class Tour:
             raise UsageError(
                 f"{schedule.seconds:g} s at {self.fps:g} frames per second are more than a million frames."
             )
-        # Slots of a frozen dataclass are set so.
+        # How to set slots of a frozen dataclass.
         object.__setattr__(self, "_schedule", schedule)
         if self.speed is None:
             object.__setattr__(self, "seconds", schedule.seconds)
@@ -130,8 +130,10 @@ class Tour:
                 )
 
     def _channel(self, values: Sequence[float | None], around: float = 0.0) -> Monotone:
-        """A number interpolated between the keys that give it; in a loop it returns to itself, up to multiples of
-        ``around``."""
+        """A number interpolated between the keys that give it.
+
+        In a loop it returns to its first value, up to multiples of ``around``.
+        """
         times: list[float] = []
         known: list[float] = []
         for time, key, value in zip(self._schedule.times, self.keys, values):
@@ -173,12 +175,12 @@ class Tour:
         )
 
     def _stack(self) -> tuple[tuple[Layer, Monotone], ...] | None:
-        """All layers of all keys, bottom to top, and their opacities over time; None if no key says any."""
+        """All layers of all keys, bottom to top, and their opacities over time; None if no key has layers."""
         if all(key.layers is None for key in self.keys):
             return None
         order: list[Layer] = []
         for key in self.keys:
-            at = 0  # a layer that is new goes above the one below it
+            at = 0  # a new layer goes above the one below it
             for layer in key.layers or ():
                 one = replace(layer, opacity=1.0, visible=True)
                 if one in order:
@@ -205,8 +207,8 @@ class Tour:
         """A tour from its JSON.
 
         Args:
-            values: ``keys`` (see ``Key.from_dict``); optionally what ``Tour`` has, and for all keys that do not say it
-                themselves, what ``keys.INHERITED`` lists. Keys without an eye and a target have the camera of the key
+            values: ``keys`` (see ``Key.from_dict``); optionally the fields of ``Tour``, and defaults for the keys'
+                fields in ``keys.INHERITED``. Keys without an eye and a target have the camera of the key
                 before. The ``sun`` beside the keys may be a passage, A..B.
             crs: the terrain's CRS, as for ``View.from_dict``.
             whole: (width, height) → the camera of a first key that has none; None: it needs one.
@@ -242,11 +244,11 @@ class Tour:
             if not isinstance(key, Mapping):
                 raise UsageError(f'Key {i} is not a JSON object with a "time", an "eye" and a "target".')
             try:
-                said = {**common, **key}
+                merged = {**common, **key}
                 if camera is None and whole is not None and not has_camera(key):
-                    width, height = (int(number(said.get(n, default), f'The "{n}"')) for n, default in SIZE)
+                    width, height = (int(number(merged.get(n, default), f'The "{n}"')) for n, default in SIZE)
                     camera = whole(width, height).to_dict()
-                camera = said if camera is None or has_camera(key) else {**common, **staying(camera, key)}
+                camera = merged if camera is None or has_camera(key) else {**common, **staying(camera, key)}
                 made.append(Key.from_dict(camera, crs=crs))
             except UsageError as error:
                 raise UsageError(f"Key {i}: {error.what}", remedy=error.remedy) from error
@@ -274,7 +276,7 @@ class Tour:
             tour = cls.from_dict(values, crs=crs, whole=whole)
         if all(key.layers is None for key in tour.keys):
             return tour
-        folder = Path(path).parent  # paths in a file are meant as they are, or beside it
+        folder = Path(path).parent  # paths in a file are used as they are, or relative to it
         keys = [k if k.layers is None else replace(k, layers=found_beside(k.layers, folder)) for k in tour.keys]
         return replace(tour, keys=tuple(keys))
 
@@ -288,11 +290,11 @@ class Tour:
 
     @staticmethod
     def readable(path: str | Path) -> None:
-        """Raise ReadError unless the file holds a JSON object: what is wrong before any terrain is known."""
+        """Raise ReadError unless the file holds a JSON object: faults that show before any terrain is known."""
         load_object(path, "tour", "keys")
 
     def to_dict(self) -> dict[str, Any]:
-        """What ``from_dict`` reads."""
+        """The input of ``from_dict``."""
         values: dict[str, Any] = {"tour": FORMAT, "fps": self.fps, "loop": self.loop, "ease": self.ease,
                                   "aim": self.aim}  # fmt: skip
         for name in ("speed", "above_ground"):
@@ -308,16 +310,16 @@ class Tour:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """When the camera is at each key (where it arrives, if it stays)."""
+        """When the camera is at each key (on arrival, if it stays)."""
         return self._schedule.times
 
     @property
     def duration(self) -> float:
-        """Seconds in all."""
+        """The total time, seconds."""
         return self._schedule.seconds
 
     def __len__(self) -> int:
-        """How many frames there are, at least 1."""
+        """The number of frames, at least 1."""
         return max(1, round(self.duration * self.fps))
 
     def moment(self, time: float) -> float:
@@ -338,12 +340,12 @@ class Tour:
         return way.view(time)
 
     def settings(self, time: float) -> dict[str, float]:
-        """The scene's numbers that the tour sets, at a time: those of ``keys.SETTINGS`` that some key has."""
+        """The scene's numbers that the tour sets, at a time: those of ``keys.SETTINGS`` that any key has."""
         time = self.moment(time)
         return {name: channel(time) for name, channel in self._settings.items()}
 
     def layers(self, time: float) -> tuple[Layer, ...] | None:
-        """The layers at a time, bottom to top, each as opaque as it is then; None if no key says any."""
+        """The layers at a time, bottom to top, with their opacities; None if no key has layers."""
         if self._layers is None:
             return None
         time = self.moment(time)
@@ -351,7 +353,7 @@ class Tour:
         return tuple(replace(layer, opacity=opacity) for layer, opacity in opacities if opacity > 1e-3)
 
     def sun(self, time: float) -> Placed | Moment | None:
-        """The sun at a time; None if no key says one."""
+        """The sun at a time; None if no key has one."""
         time = self.moment(time)
         if self.passage is not None:
             return self.passage.at(time / self.duration if self.duration > 0 else 0.0)
@@ -375,7 +377,7 @@ class Tour:
 
 
 def moves(path: str | Path, *, crs: Any = None) -> Flight | Tour:
-    """A moving camera from a file: a tour if the file has something that only tours have, otherwise a flight.
+    """A moving camera from a file: a tour if the file has any field that only tours have, otherwise a flight.
 
     Raises:
         ReadError, UsageError: as ``Flight.load`` and ``Tour.load``.

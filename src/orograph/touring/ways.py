@@ -1,14 +1,14 @@
 """The ways between key frames: along a spline, about a target, or up, across and down. Each is smooth in itself.
 
-A ``Way`` takes the camera through two or more keys and says where it is at a time. What it does at its ends (rest, or
-go on smoothly where the tour loops) is said by ``rests`` and ``loop``, as for ``splines.Monotone``.
+A ``Way`` moves the camera through two or more keys, and gives its position at a time. Its behaviour at the ends (rest,
+or continue smoothly where the tour loops) is given by ``rests`` and ``loop``, as for ``splines.Monotone``.
 
-- ``SplineWay``: the eye on a centripetal Catmull-Rom spline whose *height* is a monotonic cubic of the spline's
-  parameter: between two keys it never leaves the heights of these, so that a camera that skims a valley does not dip
-  into it. The target does the same ("target"), or the direction of view is a spline on the sphere ("direction").
+- ``SplineWay``: the eye follows a centripetal Catmull-Rom spline whose *height* is a monotonic cubic of the spline's
+  parameter: between two keys it stays within their heights, so that a camera low in a valley does not dip into it. The
+  target does the same ("target"), or the direction of view is a spline on the sphere ("direction").
 - ``OrbitWay``: azimuth, pitch and distance about the target change, each as a monotonic cubic: a circle is a circle.
 - ``ZoomWay``: the optimal path of van Wijk & Nuij, *Smooth and efficient zooming and panning* (InfoVis 2003): of all
-  ways from one view of a map to another the one along which the picture moves least, at constant perceived speed; ρ is
+  ways from one view of a map to another, the one along which the picture moves least, at constant perceived speed; ρ is
   their users' mean, 1.42.
 
 Units: metres, seconds, degrees as in ``View``.
@@ -63,7 +63,7 @@ class Curve:
         if len(at) == 1:
             self.fine, self.far = at, np.zeros(1)
         else:
-            # Each span by chords; their ends closer where the parameter begins to move.
+            # Approximate each span by chords, with denser ends where the parameter begins to move.
             parts = [np.linspace(a, b, FINE, endpoint=False) for a, b in pairwise(at)]
             self.fine = np.append(np.concatenate(parts), at[-1])
             chords = np.linalg.norm(np.diff(self.along(self.fine), axis=0), axis=1)
@@ -86,7 +86,7 @@ class Curve:
 
 
 class _Lens:
-    """What all ways share: the field of view and the picture's up direction."""
+    """The common part of all ways: the field of view and the picture's up direction."""
 
     def __init__(self, times: Sequence[float], views: Sequence[View], rests: Collection[int], loop: bool) -> None:
         self.first = views[0]
@@ -113,7 +113,7 @@ class SplineWay:
 
     Args:
         times: of the keys; equal views in succession are a rest.
-        pace: time → metres along the eye's path, where that is prescribed; else it follows from the times.
+        pace: time → metres along the eye's path, if that is prescribed; otherwise it follows from the times.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class OrbitWay:
         return self.lens.seen(np.array(target) + arm, np.array(target), time)
 
     def lengths(self, times: Array) -> Array:
-        """Metres that the eye has travelled at each of ``times``, from the first."""
+        """Metres travelled by the eye at each of ``times``, from the first."""
         found = [0.0]
         for a, b in pairwise(times):
             eyes = np.array([self.view(float(t)).eye for t in np.linspace(a, b, COARSE + 1)])
@@ -207,7 +207,7 @@ class ZoomWay:
 
 
 def _wide(view: View) -> float:
-    """Metres that are seen at the target across the picture."""
+    """The visible width at the target, metres."""
     return view.pixel_metres * view.width
 
 
@@ -215,12 +215,12 @@ def zoom_path(w0: float, w1: float, u1: float) -> Callable[[float], tuple[float,
     """The optimal path between two views of a map (van Wijk & Nuij 2003, section 4).
 
     Args:
-        w0, w1: what is seen across the first and the last view, metres. u1: from the one's middle to the other's.
+        w0, w1: the visible width of the first and the last view, metres. u1: the distance of their middles.
 
     Returns:
-        part of the way (0 to 1, even perceived speed) → (part of u1 covered, what is seen across, metres).
+        part of the way (0 to 1, even perceived speed) → (part of u1 covered, visible width, metres).
     """
-    if u1 <= 1e-9 * max(w0, w1):  # the same place: only zooming, by equal factors
+    if u1 <= 1e-9 * max(w0, w1):  # the same place: only zoom, by equal factors
 
         def zoomed(part: float) -> tuple[float, float]:
             return part, w0 * (w1 / w0) ** part

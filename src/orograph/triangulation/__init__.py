@@ -1,1 +1,1 @@
-"""Triangulations that grow in flat arrays, how far they are from a terrain, and a heap of their triangles."""
+"""Triangulations that grow in flat arrays, their deviation from a terrain, and a heap of their triangles."""

@@ -1,5 +1,7 @@
-"""Edges that a triangulation must have: found, forced by flips, and fixed (Sloan 1993, *A fast algorithm for generating
-constrained Delaunay triangulations*)."""
+"""Edges that a triangulation must have: found, forced by flips, and fixed.
+
+Sloan 1993, *A fast algorithm for generating constrained Delaunay triangulations*.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from orograph.triangulation.mesh import TRIANGLES, after, before, flip, turn_of
 
 @leaf
 def edge_between(m, a, b):
-    """The half-edge a → b, or its twin's where only that exists; −1 if the two vertices share no edge."""
+    """The half-edge a → b, or its twin's if only that exists; −1 if the two vertices share no edge."""
     first = m.out[a]
     h = first
     while True:  # counter-clockwise
@@ -61,7 +63,7 @@ def first_crossed(m, a, b):
 
 @kernel
 def fix_edge(m, a, b):
-    """Make a–b an edge and fix it; no vertex may lie between. Returns False where another fixed edge is in the way."""
+    """Make a–b an edge and fix it; no vertex may lie between. Returns False if another fixed edge is in the way."""
     h = edge_between(m, a, b)
     if h < 0:
         crossed = np.empty((m.counts[TRIANGLES], 2), np.int32)

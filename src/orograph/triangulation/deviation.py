@@ -1,8 +1,8 @@
-"""How far a triangle or an edge of a TIN is from the surface: exact extremes on the vertical, metres.
+"""The deviation of a triangle or an edge of a TIN from the surface: exact vertical extremes, metres.
 
-On a triangle the deviation of two piecewise linear surfaces is extreme at the samples in it, at its corners (which are
+On a triangle, the deviation of two piecewise linear surfaces is extreme at the samples in it, at its corners (which are
 samples), and where its edges cross the surface's own edges: grid lines and the diagonals of cells. The latter lie on
-the lines x + y even and x − y even, for the diagonal of a cell joins its (even, even) to its (odd, odd) corner.
+the lines x + y even and x − y even, because the diagonal of a cell joins its (even, even) to its (odd, odd) corner.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from orograph._numba import inlined, leaf
 
 FUZZ = 1e-6
-"""Fractions of a cell: ends of rows are fractions with denominators below 2^14, so rounding is told from them."""
+"""Tolerance for rounding, cells: ends of rows are fractions with denominators below 2^14, so it is safe."""
 
 
 @inlined
@@ -73,7 +73,7 @@ def row_of(f, y):
 
 @leaf
 def worst_sample(heights, m, a, b, c):
-    """The largest deviation at the samples of a triangle, its outline included; and where."""
+    """The largest deviation at the samples of a triangle, including its outline; and where."""
     f = facet_of(m, a, b, c)
     if abs(f.det) == 1 or f.y0 == f.y2:  # no other samples (Pick's theorem)
         return 0.0, np.int64(f.x0), f.y0
@@ -89,8 +89,10 @@ def worst_sample(heights, m, a, b, c):
 
 @leaf
 def squares_within(heights, m, a, b, c, limit, most):
-    """The sum of squared deviations at the samples of a triangle; inf where one is over the limit, or the sum reaches
-    ``most``."""
+    """The sum of squared deviations at the samples of a triangle.
+
+    inf if one exceeds the limit, or the sum reaches ``most``.
+    """
     f = facet_of(m, a, b, c)
     squares = 0.0
     if abs(f.det) == 1 or f.y0 == f.y2:
@@ -113,18 +115,20 @@ def between(low, high, f, z):
 
 @leaf
 def worst_crossing(heights, m, a, b):
-    """The largest deviation where an edge crosses edges of the surface; the two samples whose edge it crosses there,
-    the nearer first."""
+    """The largest deviation where an edge crosses edges of the surface.
+
+    Also returns the two samples whose edge it crosses there, the nearer first.
+    """
     x, y = np.int64(m.x[a]), np.int64(m.y[a])
     return worst_between(heights, x, y, np.int64(m.x[b]) - x, np.int64(m.y[b]) - y, m.z[a], m.z[b] - m.z[a])
 
 
 @leaf
 def worst_between(heights, x0, y0, dx, dy, z0, dz):
-    """``worst_crossing`` of a segment from a sample: as far as (dx, dy, dz)."""
+    """``worst_crossing`` of a segment from a sample to (dx, dy, dz) from it."""
     largest = -1.0
     near_x = near_y = far_x = far_y = np.int64(0)
-    for way in range(4):  # x, y, x + y, x − y: the numbers of the lines that are crossed
+    for way in range(4):  # x, y, x + y, x − y: the numbers of the crossed lines
         s0 = x0 if way == 0 else y0 if way == 1 else x0 + y0 if way == 2 else x0 - y0
         ds = dx if way == 0 else dy if way == 1 else dx + dy if way == 2 else dx - dy
         step = 1 if way < 2 else 2
@@ -144,7 +148,7 @@ def worst_between(heights, x0, y0, dx, dy, z0, dz):
                 p, q = i + 1, j if way == 1 else j - 1 if way == 2 else j + 1
             line += step
             if f < FUZZ or f > 1 - FUZZ:
-                continue  # a sample, which the triangles look at
+                continue  # a sample, which the triangles check
             off = between(np.float64(heights[j, i]), np.float64(heights[q, p]), f, z0 + t * dz)
             if off > largest:
                 largest = off

@@ -1,4 +1,4 @@
-"""Triangles by error: a binary heap that knows where each triangle is in it."""
+"""Triangles by error: a binary heap that knows the position of each triangle."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Queue(NamedTuple):
     """Triangles by error: a binary heap, the largest first.
 
     Attributes:
-        error: (t,) float64, metres. x, y: (t,) int32, the sample that would mend it.
-        heap: (t,) int32, triangles. place: (t,) int32, where a triangle is in it.
+        error: (t,) float64, metres. x, y: (t,) int32, the sample with that error.
+        heap: (t,) int32, triangles. place: (t,) int32, the position of a triangle in it.
         size: (1,) int64, of the heap.
     """
 
@@ -47,7 +47,7 @@ def comes_first(q, t, u):
 
 @leaf
 def sift(q, i):
-    """Move the triangle at place i of the heap to where it belongs."""
+    """Move the triangle at position i of the heap to its right position."""
     t = q.heap[i]
     while i > 0:
         up = (i - 1) >> 1
@@ -73,7 +73,7 @@ def sift(q, i):
 
 @leaf
 def put_in(q, t, error, x, y):
-    """Put a triangle into the heap, or move it there, by its error and the sample that would mend it."""
+    """Put a triangle into the heap, or move it there, by its error; record the sample with that error."""
     q.error[t], q.x[t], q.y[t] = error, x, y
     if q.place[t] == NOWHERE:
         q.heap[q.size[0]] = t
@@ -84,7 +84,7 @@ def put_in(q, t, error, x, y):
 
 @leaf
 def take_out(q, t):
-    """Take a triangle out of the heap, if it is in there."""
+    """Take a triangle out of the heap, if it is in it."""
     i = q.place[t]
     if i == NOWHERE:
         return

@@ -2,11 +2,11 @@
 
 Half-edge 3t + k runs from corner k of triangle t to its next one; ``twin`` is the same edge in the triangle beside it,
 −1 at the outline. Vertices are samples of a window, so orientation and circle tests are exact in int64 for windows of
-up to 2^14 samples a side. Where four vertices lie on a circle both diagonals are Delaunay: there the one from the
-vertex of least ``precedence`` is taken, as if each vertex were lowered on the paraboloid by so little that only ties
-notice, the first ones by far the most (Edelsbrunner & Mücke 1990). So there is one triangulation of the vertices,
-in whatever order they came. First come those with columns + rows even. In a cell they are the ends of the surface's own
-diagonal (docs/architecture.md), so that a TIN of all samples is the surface itself. Fixed edges are never flipped: the
+up to 2^14 samples a side. If four vertices lie on a circle, both diagonals are Delaunay: then the one from the vertex
+of lowest ``precedence`` is used, as if each vertex were lowered on the paraboloid by an infinitesimal amount, the first
+ones by far the most (Edelsbrunner & Mücke 1990). So the triangulation of the vertices is unique, whatever their order.
+Vertices with columns + rows even come first. In a cell they are the ends of the surface's own diagonal
+(docs/architecture.md), so that a TIN of all samples is the surface itself. Fixed edges are never flipped: the
 triangulation is constrained Delaunay (``constraints``).
 
 Sources: Guibas & Stolfi 1985 (incremental insertion), Lawson 1977 (flips).
@@ -34,7 +34,7 @@ class Mesh(NamedTuple):
     Attributes:
         x, y: (v,) int32, column and row of the vertices in the window. z: (v,) float64, metres.
         out: (v,) int32, a half-edge that starts at the vertex.
-        corner, twin: (3t,) int32; corner[3t] is −1 where slot t is free. fixed: (3t,) uint8, never flipped.
+        corner, twin: (3t,) int32; corner[3t] is −1 if slot t is free. fixed: (3t,) uint8, never flipped.
         live: (t,) uint8, 1 on ground that exists; borders between live and other triangles are fixed.
         at: (rows, cols) int32, the vertex at a sample, −1: none.
         counts: (3,) int64.
@@ -53,7 +53,7 @@ class Mesh(NamedTuple):
 
 
 def new_mesh(rows: int, cols: int) -> Mesh:
-    """Room for a triangulation of all samples of a window; pages that are not used take no memory."""
+    """Room for a triangulation of all samples of a window; unused pages take no memory."""
     vertices, edges = rows * cols, 6 * rows * cols
     return Mesh(
         np.empty(vertices, np.int32), np.empty(vertices, np.int32), np.empty(vertices), np.empty(vertices, np.int32),
@@ -90,7 +90,7 @@ def side_of(m, a, b, x, y):
 
 @leaf
 def in_circle(m, a, b, c, d):
-    """Positive if d lies inside the circle through a, b, c (which turn positively), 0 on it."""
+    """Positive if d lies inside the circle through a, b, c (in positive orientation), 0 on it."""
     dx, dy = np.int64(m.x[d]), np.int64(m.y[d])
     ax, ay, bx, by, cx, cy = m.x[a] - dx, m.y[a] - dy, m.x[b] - dx, m.y[b] - dy, m.x[c] - dx, m.y[c] - dy
     aa, bb, cc = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
@@ -145,7 +145,7 @@ def new_vertex(m, x, y, z):
 
 @leaf
 def flip(m, h):
-    """Turn the edge of h and its twin to the other diagonal of their two triangles.
+    """Flip the edge of h and its twin to the other diagonal of their two triangles.
 
     h: a → b becomes a → d, with d the far corner; then ``after(h)`` is d → v, v the corner of h's triangle.
     """
@@ -164,7 +164,7 @@ def flip(m, h):
 
 @leaf
 def precedence(m, v):
-    """The order of the vertices that decides ties: columns + rows even before odd, then by rows, then by columns."""
+    """The order of vertices that decides ties: columns + rows even before odd, then by rows, then by columns."""
     x, y = np.int64(m.x[v]), np.int64(m.y[v])
     return (((x + y) & 1) << 40) + (y << 20) + x
 
@@ -228,7 +228,7 @@ def insert(m, t, x, y, z, stack):
 
 @leaf
 def split_edge(m, h, v, stack):
-    """Put a vertex on an edge; its halves are fixed if it is. Returns how many half-edges lie on the stack."""
+    """Put a vertex on an edge; its halves are fixed if it is. Returns the number of half-edges on the stack."""
     g, fixed = m.twin[h], m.fixed[h]
     count, halves = split_side(m, h, v, stack, 0)
     if g < 0:
@@ -261,8 +261,10 @@ def split_side(m, h, v, stack, count):
 
 @leaf
 def locate(m, t, x, y):
-    """A triangle that holds a sample, by a walk from triangle t (Devillers et al. 2002); all are tried if it turns in
-    circles, which it may where edges are fixed."""
+    """A triangle that holds a sample, by a walk from triangle t (Devillers et al. 2002).
+
+    If the walk goes in circles, which it may with fixed edges, all triangles are tried.
+    """
     for _ in range(4 * MOST_SAMPLES):
         moved = False
         for k in range(3):

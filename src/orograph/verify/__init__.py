@@ -1,4 +1,4 @@
-"""The referee: what a mesh or a picture is worth, measured against every point of the full-resolution terrain.
+"""The referee: the errors of a mesh or a picture, measured against every point of the full-resolution terrain.
 
 >>> from orograph import verify
 >>> report = verify.judge_mesh(tessellation, terrain, view)   # doctest: +SKIP

@@ -1,9 +1,9 @@
-"""The bands of rows in which a terrain is judged, and what of it has to be read for each; blocks of a band.
+"""The bands of rows in which a terrain is judged, the data to read for each, and the blocks of a band.
 
-A band lies within one row of tiles. Of its columns those are read that its triangles reach, and the tiles whose box
-(lowest to highest sample, from the terrain's own tables) reaches into the view: nothing else is in view, and nothing
-else is covered. A mesh of samples is swept band by band. Where vertices lie between samples there are many more strips
-to a row, so that a band is cut into narrow blocks: few triangles meet a strip of each.
+A band lies within one row of tiles. Read are the columns that its triangles reach, and the tiles whose box (lowest to
+highest sample, from the terrain's own tables) reaches into the view: everything else is neither in view nor covered. A
+mesh of samples is swept band by band. Where vertices lie between samples, there are many more strips to a row, so a
+band is cut into narrow blocks, in which few triangles meet each strip.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from orograph.verify.sweep import Block
 Ints = NDArray[np.int64]
 
 BAND_BYTES = 1 << 25
-"""Roughly how much of a very wide terrain is read at a time."""
+"""Approximate bytes of a very wide terrain that are read at a time."""
 
 BLOCK = 128
 """Columns of a block of a mesh with vertices between samples."""
@@ -37,12 +37,12 @@ BLOCK = 128
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """A tessellation taken apart for the referee.
+    """A tessellation prepared for the referee.
 
     Attributes:
-        tessellation: as it came.
+        tessellation: the original.
         corners: its triangles, with vertices in ticks.
-        signs: (m,) int8: 1 for triangles that turn as they should, −1 for reversed ones, 0 without area.
+        signs: (m,) int8: 1 for triangles of correct orientation, −1 for reversed ones, 0 without area.
         vertices: (v,) int64, those of triangles with area, by row, then column.
         rows: (v,) int64, their rows in ticks.
         size: rows in a band.
@@ -85,7 +85,7 @@ def take_apart(tessellation: Tessellation, terrain: Terrain) -> Mesh:
 
 
 def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
-    """The least s for which all vertices lie at multiples of 2^-s of a cell.
+    """The smallest s for which all vertices lie at multiples of 2^-s of a cell.
 
     Raises:
         UsageError: as ``take_apart``.
@@ -118,7 +118,7 @@ def ticks(tessellation: Tessellation, terrain: Terrain) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Band:
-    """Rows first to last, both included, the columns [west, east) to read for them, and the triangles there."""
+    """Rows first to last, both included, the columns [west, east) to read for them, and their triangles."""
 
     first: int
     last: int
@@ -170,7 +170,7 @@ class Band:
 
 
 def bands(mesh: Mesh, terrain: Terrain, camera: Camera | None) -> Iterator[Band]:
-    """The bands with something to judge: triangles, or ground in view (without a camera: any ground)."""
+    """The bands that need judging: with triangles, or ground in view (without a camera: any ground)."""
     rows, cols = terrain.grid.shape
     reached = tiles_in_view(terrain, camera)
     corners = mesh.corners

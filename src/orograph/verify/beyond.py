@@ -1,6 +1,6 @@
-"""What lies beyond the open edges of a mesh: missing ground, ground out of view, or ground that should be covered.
+"""The ground beyond the open edges of a mesh: missing, out of view, or ground that should be covered.
 
-An edge of one triangle alone is looked at unit by unit on its other side, with integers.
+The other side of an edge with a single triangle is examined unit by unit, with integers.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from orograph.verify.ground import exists, unit_in_view
 from orograph.verify.strips import ceiling, compare, corners
 
 OF_MISSING, OF_HIDDEN, OF_SEEN = range(3)
-"""What lies beyond an open edge: missing ground, ground out of view, ground (partly) in view."""
+"""Ground beyond an open edge: missing, out of view, (partly) in view."""
 
 
 class OpenEdges(NamedTuple):
@@ -58,7 +58,7 @@ def shares_length(x0, y0, x1, y1, column, row, half, shift):
 
 @kernel
 def look_beyond(ground, band, edges, members, lens, findings):
-    """Find what lies just beyond open edges, in the cells below the rows of a band.
+    """Classify the ground directly beyond open edges, in the cells below the rows of a band.
 
     Args:
         ground, lens: as for ``sweep``. band: (first, last) row.

@@ -1,6 +1,6 @@
-"""The referee of pictures: a depth image, the terrain and the view it should show → a ``DepthReport``.
+"""The referee of pictures: a depth image, the terrain and the view → a ``DepthReport``.
 
-Whatever draws terrain leaves a depth at each pixel. The truth it is judged by is the referee's own (``walk``). See
+Every renderer of terrain leaves a depth at each pixel. The truth for comparison is the referee's own (``walk``). See
 docs/verify.md.
 """
 
@@ -32,17 +32,17 @@ class DepthReport:
     """The verdict on a depth image.
 
     Attributes:
-        hits, misses: pixels in which the full-resolution surface is seen, and those in which nothing is.
+        hits, misses: pixels in which the full-resolution surface is visible, and those in which nothing is.
         largest: the largest distance in pixels between the point that a pixel shows and the full-resolution surface on
             its vertical, over the pixels that agree with the truth on whether there is ground.
         worst: (x, y) of that pixel; None if no pixel shows ground where there is some.
         rms, most: root of the mean square of the same, and its 99.9th percentile.
-        mismatches: pixels that do not agree: ground is shown where nothing is seen, or the other way round, or at a
-            place where the terrain has none.
+        mismatches: pixels that do not agree: ground is shown where there is none, or the other way round, or at a place
+            where the terrain has none.
         farthest: pixels from a mismatch to the nearest pixel that agrees, the largest; infinite if none agrees.
         farthest_at: (x, y) of that mismatch; None if there is none.
-        errors: (h, w) float64, pixels: these distances; 0 where nothing is seen, and shown.
-        truth: (h, w) float64, the depth of the full-resolution surface in metres, NaN where it is not seen.
+        errors: (h, w) float64, pixels: these distances; 0 where nothing is visible, and nothing shown.
+        truth: (h, w) float64, the depth of the full-resolution surface in metres, NaN where it is not visible.
     """
 
     hits: int
@@ -60,13 +60,13 @@ class DepthReport:
     def ok(self, tolerance: float = math.inf) -> bool:
         """Whether no pixel shows a point more than ``tolerance`` pixels from the surface, and mismatches are near.
 
-        They may be √2 pixels farther from one that agrees: an outline moved by the tolerance changes whole pixels.
+        Mismatches may be √2 pixels farther from a pixel that agrees: a moved outline changes whole pixels.
         """
         bound = tolerance * (1 + ROUNDING)
         return self.largest <= bound and (self.mismatches == 0 or self.farthest <= bound + math.sqrt(2))
 
     def to_dict(self) -> dict[str, Any]:
-        """The numbers as JSON has them; an infinite distance is None."""
+        """The numbers as JSON values; an infinite distance is None."""
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("errors", "truth")}
         for name in ("largest", "rms", "most", "farthest"):
             if not math.isfinite(values[name]):
@@ -97,9 +97,9 @@ def judge_depth(
     Args:
         depth: (h, w) float32 or float64, metres along the viewing direction at the pixels' centres; NaN (or anything
             not finite) where nothing is shown.
-        terrain: what it shows; read by tiles.
+        terrain: of the picture; read by tiles.
         view: the camera, of h × w pixels, in the terrain's CRS.
-        exaggeration: as it was drawn with.
+        exaggeration: of the picture.
         jobs: threads; the result does not depend on it.
 
     Raises:
@@ -152,7 +152,7 @@ def vertical_pixels(
 ) -> Image:
     """Pixels (n,) between the points that pixels show and the full-resolution surface on their verticals.
 
-    NaN where there is none. A point may lie beside the surface by as much as its depth is rounded.
+    NaN where there is none. A point may be off the surface by the rounding of its depth.
     """
     rays, lens = Rays.of(camera, view), camera.lens
     exact = depth.astype(np.float64)
@@ -176,7 +176,7 @@ def vertical_pixels(
 
 
 def surface(terrain: Terrain, column: Image, row: Image) -> Image:
-    """Heights (n,) of the full-resolution surface at places on the raster; NaN beside it and in holes."""
+    """Heights (n,) of the full-resolution surface at places on the raster; NaN outside it and in holes."""
     rows, cols = terrain.grid.shape
     found = np.full(column.shape, np.nan)
     on = np.flatnonzero((column >= 0) & (column <= cols - 1) & (row >= 0) & (row <= rows - 1))

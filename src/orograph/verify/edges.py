@@ -1,9 +1,9 @@
-"""The edges of a mesh: how many triangles share each, which have one only, and which of those lie on one another.
+"""The edges of a mesh: how many triangles share each, which belong to only one, and which of those overlap.
 
-Edges are gathered by their lower vertex (a counting sort), so that only the few edges of a vertex are ever compared.
-An edge with one triangle is *open*. If nothing overlaps, the ground just beyond an open edge is covered iff another
+Edges are gathered by their lower vertex (a counting sort), so that only the few edges of a vertex are compared. An edge
+with one triangle is *open*. If triangles do not overlap, the ground directly beyond an open edge is covered iff another
 open edge lies on the same line, runs the other way and shares some of its length: a T-junction, or a seam between
-vertices that should be one. That is found with integers only.
+vertices that should be one. This is decided with integers only.
 """
 
 from __future__ import annotations
@@ -19,8 +19,11 @@ Ints = NDArray[np.int64]
 
 @kernel
 def survey(corners, turn):
-    """(signs (m,) int8, used (n,) uint8): 1 for triangles that turn as they should, −1 for reversed ones, 0 for those
-    without area; 1 for vertices of triangles with area."""
+    """(signs (m,) int8, used (n,) uint8).
+
+    signs: 1 for triangles of correct orientation, −1 for reversed ones, 0 for those without area. used: 1 for vertices
+    of triangles with area.
+    """
     triangles, x, y = corners.triangles, corners.x, corners.y
     signs = np.empty(triangles.shape[0], np.int8)
     used = np.zeros(x.shape[0], np.uint8)
@@ -35,7 +38,7 @@ def survey(corners, turn):
 
 @leaf
 def sort(values, begin, end):
-    """Shellsort of ``values[begin:end]``; of a few an insertion sort."""
+    """Shellsort of ``values[begin:end]``; an insertion sort if there are only a few."""
     for k in range(0 if end - begin > 24 else len(GAPS) - 1, len(GAPS)):
         gap = GAPS[k]
         for i in range(begin + gap, end):
@@ -48,11 +51,11 @@ def sort(values, begin, end):
 
 @kernel
 def classify_edges(triangles, count):
-    """Edges with more than two triangles, and those with one.
+    """Find edges with more than two triangles, and those with one.
 
     Returns:
-        (crowded, open): indices 3·triangle + corner of an edge from that corner to the next; of crowded edges the first
-        one each.
+        (crowded, open): indices 3·triangle + corner of an edge from that corner to the next; for crowded edges only the
+        first.
     """
     m = triangles.shape[0]
     start = np.zeros(count + 1, np.int64)
@@ -91,12 +94,11 @@ def classify_edges(triangles, count):
 
 
 def lie_on_others(edges: Ints) -> NDArray[np.bool_]:
-    """Which of the edges (n, 4: column, row of their beginning and end, in ticks) share length with one that runs the
-    other way.
+    """Which of the edges (n, 4: column, row of beginning and end, in ticks) share length with an opposite one.
 
     Edges are sorted by line: primitive direction and offset from the origin; along a line they are intervals of the
-    integer parameter p = position · direction. An interval [p, q] meets one of the other set iff among those that begin
-    before q the farthest end lies beyond p.
+    integer parameter p = position · direction. An interval [p, q] meets one of the opposite set iff among those that
+    begin before q the farthest end lies beyond p.
     """
     meets = np.zeros(len(edges), bool)
     if len(edges) == 0:
@@ -117,7 +119,7 @@ def lie_on_others(edges: Ints) -> NDArray[np.bool_]:
         if len(them) == 0 or len(me) == 0:
             continue
         them = them[np.lexsort((low[them], line[them]))]
-        # One order over all lines: parameters shifted so that lines do not meet. Ranks keep the numbers small.
+        # One order over all lines: parameters are shifted so that lines do not overlap. Ranks keep the numbers small.
         values = np.unique(np.concatenate([low, high]))
         span = len(values) + 1
         begins = line[them] * span + np.searchsorted(values, low[them])

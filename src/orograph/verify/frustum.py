@@ -1,15 +1,14 @@
-"""What a view sees of the samples: their place before the camera, on the screen, inside or outside the frustum.
+"""How a view sees samples: their place in front of the camera and on the screen, inside or outside the frustum.
 
 A ``Camera`` is the view in sample coordinates: (x, y, w) = M · (column, row, height, 1), x right and y up on the
-screen, w depth, in stretched metres; the exaggeration and the grid's affine map are in M. In perspective the screen
+screen, w depth, in stretched metres; M includes the exaggeration and the grid's affine map. In perspective the screen
 position is x / (s·w) pixels right of the centre, with s the view's pixel slope; in a plan x / (metres per pixel). Both
-are written as x / (p0 + p1·w), and the sides of what is seen as |x| ≤ a0 + a1·w and |y| ≤ b0 + b1·w.
-
-This is the definition in ``View.project`` and ``View.frustum`` written down a second time, for kernels.
+are written as x / (p0 + p1·w), and the sides of the frustum as |x| ≤ a0 + a1·w and |y| ≤ b0 + b1·w. This repeats the
+definition in ``View.project`` and ``View.frustum`` for kernels.
 
 Between a point of the ground and the one δ metres above it there are f·g pixels, f = |δ| / (w + c·δ), where (a, b, c)
-is what a metre of height adds to (x, y, w), and g = |(a·w − c·x, b·w − c·y)| / (s·w): how fast the vertical there
-passes over the screen. In a plan g is 0.
+is the change of (x, y, w) per metre of height, and g = |(a·w − c·x, b·w − c·y)| / (s·w): the speed at which the
+vertical there passes over the screen. In a plan g is 0.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from orograph.geo.grid import Grid
 from orograph.viewpoint import View
 
 BEFORE = 16
-"""The outcode of what lies nearer than the near plane, or not in front of the eye."""
+"""The outcode of points before the near plane, or not in front of the eye."""
 
 
 class Lens(NamedTuple):
@@ -66,7 +65,7 @@ class Camera:
             matrix[i, 3] = (c - origin[0]) * x + (f - origin[1]) * y - origin[2] * z * exaggeration
         scale = view.pixel_metres if plan else view.pixel_slope
         half_x, half_y = scale * view.width / 2, scale * view.height / 2
-        if view.part is not None:  # a tile of a picture: seen as if its own middle was straight ahead
+        if view.part is not None:  # a tile of a picture, as if its own middle were straight ahead
             left, top, width, height = view.part
             aside = scale * (left + view.width / 2 - width / 2), scale * (height / 2 - top - view.height / 2)
             for i in (0, 1):
@@ -100,7 +99,7 @@ def place(lens, column, row, height):
 
 @inlined
 def outcode(lens, x, y, w):
-    """The sides of the frustum beyond which a point lies, a bit each (Cohen & Sutherland); 0: it is in view."""
+    """The sides of the frustum beyond which a point lies, as bits (Cohen & Sutherland); 0: it is in view."""
     a, b = lens.a0 + lens.a1 * w, lens.b0 + lens.b1 * w
     code = 0
     if x < -a:
@@ -136,15 +135,17 @@ def side(lens, plane, x, y, w):
 
 @inlined
 def drop_factor(lens, w, drop):
-    """f of the module's text for a point of depth w and the one ``drop`` metres above it; infinite if that one is
-    beside or behind the eye."""
+    """f (see the module) for a point of depth w and the one ``drop`` metres above it.
+
+    Infinite if that one is beside or behind the eye.
+    """
     above = w + lens.matrix[2, 2] * drop if lens.p1 > 0.0 else 1.0
     return abs(drop) / above if above > 0.0 else np.inf
 
 
 @inlined
 def pixel_factor(lens, x, y, w):
-    """g of the module's text."""
+    """g (see the module)."""
     if lens.p1 == 0.0:
         return 0.0
     matrix = lens.matrix
@@ -154,10 +155,10 @@ def pixel_factor(lens, x, y, w):
 
 @leaf
 def polygon_in_view(lens, points, count, scratch):
-    """Whether the convex polygon ``points[:count]`` (x, y, w) reaches into the frustum; both arrays are overwritten.
+    """Whether the convex polygon ``points[:count]`` (x, y, w) reaches into the frustum; overwrites both arrays.
 
     Sutherland & Hodgman's clipping against the six sides, each moved inward by a billionth of the polygon's distance,
-    so that what merely touches the frustum is not in view.
+    so that a polygon that only touches the frustum is not in view.
     """
     scale = 0.0
     for i in range(count):

@@ -1,7 +1,7 @@
 """Neighbours in a strip: overlaps, gaps between them, and missing ground that they cover.
 
-Triangles that overlap nowhere lie each east of its western neighbour at both rows of the strip. Where one does not
-touch it there is a gap, whose existing units are marked; units that do not exist and are covered are bridged.
+Without overlaps, each triangle lies east of its western neighbour at both rows of the strip. If it does not touch the
+neighbour, there is a gap, whose existing units are marked; missing units that are covered are bridged.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def sweep_strip(table, members, active, n, strip, west, units, missing, codes, i
             upper, lower = compare(pn, pd, wn, wd), compare(pn + pstep, pd, wn + wstep, wd)
             if previous >= 0 and (upper > 0.0 or lower > 0.0):
                 if attempt == 0:
-                    disordered = True  # by an overlap further up, perhaps: once more, in order
+                    disordered = True  # perhaps because of an overlap further up: repeat it, in order
                     break
                 overlapping[members[k]] = 1
                 overlapping[members[previous]] = 1

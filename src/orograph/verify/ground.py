@@ -1,6 +1,6 @@
-"""The full-resolution surface by rows: which unit triangles exist, which samples lie on one, what of it is in view.
+"""The full-resolution surface by rows: which unit triangles exist, which samples lie on one, and what is in view.
 
-A unit is half a cell; of each cell bit 0 is the upper one and bit 1 the lower one (``strips``). Metres; indices are
+A unit is half a cell; in each cell, bit 0 is the upper one and bit 1 the lower one (``strips``). Metres; indices are
 rows and columns of the raster.
 """
 
@@ -33,8 +33,10 @@ class Ground(NamedTuple):
 
 @leaf
 def existing_units(ground, row, units):
-    """The units that exist in each cell of the window below a row: bit 0, bit 1; one cell to the right in ``units``,
-    whose first and last entries stay 0. Returns how many are missing."""
+    """The units that exist in each cell of the window below a row: bit 0, bit 1.
+
+    ``units`` is shifted by one cell, and its first and last entries stay 0. Returns the number of missing units.
+    """
     heights, i, west, missing = ground.heights, row - ground.top, ground.west, 0
     for j in range(heights.shape[1] - 1):
         a, b, c, d = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
@@ -72,7 +74,7 @@ def on_surface(over, under, j, odd):
 
 @inlined
 def exists(ground, column, row, half):
-    """Whether all three corners of a unit triangle do."""
+    """Whether all three corners of a unit triangle exist."""
     c0, r0, c1, r1, c2, r2 = corners(column, row, half)
     heights, top, west = ground.heights, ground.top, ground.west
     z = heights[r0 - top, c0 - west] + heights[r1 - top, c1 - west] + heights[r2 - top, c2 - west]

@@ -1,8 +1,8 @@
 """The referee of meshes: one tessellation, one terrain, one view → a ``Report``.
 
-It shares no code with what it judges, and takes nothing on trust but the terrain's samples, the view, and the boxes of
-the terrain's tiles (of tiles out of view nothing is read). What it measures and how is told in docs/verify.md; the work
-is done by the sweep (``sweep.py``), between samples by ``pieces.py``, and on the open edges (``beyond.py``).
+It shares no code with what it judges, and trusts only the terrain's samples, the view, and the boxes of the terrain's
+tiles (tiles out of view are not read). docs/verify.md explains what it measures and how. The work is in the sweep
+(``sweep.py``), between samples in ``pieces.py``, and on the open edges in ``beyond.py``.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def judge_mesh(
     """Measure a tessellation against the full-resolution surface in view, and look for every kind of defect.
 
     Args:
-        tessellation: the mesh; its vertices may lie anywhere on the raster. Where ``stats["truth"]`` is "points" it is
+        tessellation: the mesh; its vertices may lie anywhere on the raster. If ``stats["truth"]`` is "points", it is
             measured against the Delaunay surface of the terrain's points instead (``verify.points``).
-        terrain: what it is a mesh of; read by bands of rows.
+        terrain: of the mesh; read by bands of rows.
         view: the camera, in the terrain's CRS.
         exaggeration: heights are stretched by this on the way to the screen.
         heights: "samples": a vertex on a sample must have the sample's height; "free": it need not. By default "free"
@@ -70,7 +70,7 @@ def judge_mesh(
 
 
 def check_exaggeration(exaggeration: float) -> None:
-    """Raise UsageError unless it is one."""
+    """Raise UsageError unless it is a valid exaggeration."""
     if not (math.isfinite(exaggeration) and exaggeration > 0):
         raise UsageError(f"The exaggeration must be a positive number, not {exaggeration}.")
 
@@ -112,7 +112,7 @@ def _judge(
     places = total.places
 
     def first(name: str, flags: NDArray[np.bool_], vertex: NDArray[np.integer]) -> int:
-        """Note where the first of some flags is, and count them."""
+        """Record where the first of some flags is, and count them."""
         if flags.any():
             v = int(vertex[np.argmax(flags)])
             places[name] = mesh.place(int(mesh.corners.x[v]), int(mesh.corners.y[v]))
@@ -140,14 +140,14 @@ _Part = tuple[kernels.Found, Worst]
 
 
 class Screens:
-    """Memory for one ``Screen`` after the other: fresh pages for each would take a fifth of the time."""
+    """Memory for one ``Screen`` after the other: allocating each would take a fifth of the time."""
 
     def __init__(self) -> None:
         self._floats = np.empty(0)
         self._codes = np.empty(0, np.uint8)
 
     def take(self, rows: int, columns: int) -> kernels.Screen:
-        """A screen without samples. The one before may no longer be used."""
+        """An empty screen. Invalidates the one before."""
         size = rows * columns
         if len(self._codes) < size:
             self._floats, self._codes = np.empty(3 * size), np.empty(size, np.uint8)
@@ -160,7 +160,7 @@ def judge_block(
     window: Ground, mesh: Mesh, block: kernels.Block, camera: Camera, screens: Screens,
     junctions: NDArray[np.uint8], overlapping: NDArray[np.uint8],
 ) -> _Part:  # fmt: skip
-    """Judge a block: what the sweep finds, and the largest error on its pieces (as far as it exceeds the samples')."""
+    """Judge a block: the findings of the sweep, and the largest error on its pieces (if it exceeds the samples')."""
     screen = screens.take(block.last - block.first + 2, window.heights.shape[1])
     found, table, planes = kernels.sweep(window, mesh.corners, block, camera.lens, screen, junctions, overlapping)
     found = kernels.Found(*found)
@@ -194,7 +194,7 @@ class _Total:
             self.largest = float(worst.pixels[0]), place(*worst.place)
 
     def figures(self) -> dict[str, Any]:
-        """The numbers of a report that are summed up here."""
+        """The numbers of a report that are sums."""
         samples, counts = int(self.counts[kernels.SAMPLES]), {name: int(self.counts[k]) for name, k in COUNTED.items()}
         covered = samples - counts["uncovered"]
         at_samples, worst_sample = self.at_samples if covered else (0.0, None)

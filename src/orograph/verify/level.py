@@ -1,4 +1,4 @@
-"""A view for judging meshes that belong to no view, in vertical metres."""
+"""A view for judging meshes without a view, in vertical metres."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from orograph.store.terrain import Terrain
 from orograph.viewpoint import View
 
 FAR = 1e9
-"""Metres from the eye to the terrain: over an extent of 100 km a pixel changes by 1e-4 of itself."""
+"""Metres from the eye to the terrain: over 100 km, the size of a pixel changes by a factor of 1e-4."""
 
 
 def level_view(terrain: Terrain) -> View:
-    """A horizontal view from so far that a pixel is a metre of height anywhere on the terrain, with all of it in view.
+    """A horizontal view in which a pixel is a metre of height anywhere on the terrain, with all of it in view.
 
     >>> verify.judge_mesh(mesh, terrain, verify.level_view(terrain)).largest  # metres    # doctest: +SKIP
 

@@ -1,14 +1,13 @@
-"""All methods measured in the same way: time, triangles, change from frame to frame, tiles read, and the referee's
-error.
+"""All methods measured in the same way: time, triangles, change between frames, tiles read, and the referee's error.
 
-Of a method nothing is known here but that it selects (``Selector``). *Views* are taken one by one, twice: first for the
+Here, a method is only something that selects (``Selector``). *Views* are taken one by one, twice: first for the
 referee, which also compiles kernels and reads tiles; then for the clock, three times each, of which the fastest counts.
-Before each of these the method is taken far away and looks the other way, so that one that keeps its mesh between views
-has to come back from little. A *flight* is taken frame by frame, and the clock runs for each: what a method saves from
-frame to frame, it saves here. Tiles are counted from the method's making.
+Before each of these, the method is moved far away and looks the other way, so that one that keeps its mesh between
+views starts with very little. A *flight* is taken frame by frame, and every frame is timed, which shows the gain from
+keeping data between frames. Tiles are counted from the method's creation.
 
-A mesh is judged by its triangles (``judge_mesh``). A selection that makes none, for rays, is drawn (by the CPU, if it
-can) and judged by the depth of its picture (``judge_depth``); of one that has patches, too, both are judged.
+A mesh is judged by its triangles (``judge_mesh``). A selection without triangles, for rays, is drawn (by the CPU, if it
+can) and judged by the depth of its picture (``judge_depth``); if it also has patches, both are judged.
 
 Units: milliseconds; pixels; fractions of a mesh.
 """
@@ -45,9 +44,9 @@ class Selector(Protocol):
     """What can be measured: a ``lod.method.Method``."""
 
     def select(self, camera: Camera, goal: Goal) -> Selection:
-        """What a camera sees.
+        """Select for a camera.
 
-        ``stats`` may have ``refine_ms``, where not all of the time counts, ``tiles_read`` and ``within_budget``.
+        ``stats`` may have ``refine_ms``, if only a part of the time counts, ``tiles_read`` and ``within_budget``.
         """
         ...
 
@@ -58,24 +57,24 @@ class Measurement:
 
     Attributes:
         frames: views or frames selected for.
-        triangles: of a mesh, the mean; None where none are made.
+        triangles: of a mesh, the mean; None if there are none.
         ms: to select, the median; ``ms_worst``: the largest.
-        mtri_per_s: millions of triangles per second, over all; None where none are made.
-        conservative: whether the method promises the tolerance for all that is in view, in every frame.
-        tolerance: pixels, the largest that was asked for, or reached under a budget.
+        mtri_per_s: millions of triangles per second, over all; None if there are none.
+        conservative: whether the method promises the tolerance for everything in view, in every frame.
+        tolerance: pixels, the largest that was requested, or reached under a budget.
         largest: of meshes, pixels, by the referee, over the full-resolution surface in view of the frames judged; None:
             beyond any bound, or none was judged.
         largest_at_samples, rms: the same over samples.
         largest_in_picture: of rays, pixels between the points that the pictures' pixels show and the full-resolution
             surface on their verticals; None: as ``largest``.
         mismatches: of rays, pixels that show ground where there is none, or none where there is some.
-        farthest: of rays, pixels from such a one to the nearest that agrees, the largest; None: as ``largest``.
-        judged: how many frames were.
+        farthest: of rays, the largest distance in pixels from such a pixel to one that agrees; None: as ``largest``.
+        judged: the number of judged frames.
         changes: triangles that a frame and the one before do not share, over the frame's own, both summed over frames.
             None without a flight.
         tiles_read: in all.
-        defects: what the referee found wrong with the meshes, summed.
-        beyond: triangles of the largest mesh that has more than its budget; None if there is none.
+        defects: of the meshes, found by the referee, summed.
+        beyond: triangles of the largest mesh that exceeds its budget; None if there is none.
     """
 
     frames: int
@@ -148,7 +147,7 @@ def measure_flight(
     count = len(frames) if judged is None else min(judged, len(frames))
     seen = set(np.linspace(0, len(frames) - 1, count).round().astype(int).tolist())
     tally = _Tally(terrain, exaggeration, jobs)
-    for view in [*frames[:2], frames[0]]:  # whatever the first moves compile
+    for view in [*frames[:2], frames[0]]:  # compile what the first moves need
         _selected(method, terrain, view, goal, exaggeration)
     before: NDArray[np.uint64] | None = None
     changed = own = 0
@@ -194,7 +193,7 @@ class _Tally:
         self.tiles = 0
 
     def timed(self, selection: Selection, ms: float) -> Tessellation | None:
-        """Note a selection; its triangles, if it makes any."""
+        """Record a selection; returns its triangles, if it has any."""
         mesh = None if isinstance(selection, RayWindows) else selection.tessellation()
         if mesh is not None:
             self.triangles.append(len(mesh.triangles))
@@ -258,9 +257,9 @@ def ray_depth(
     terrain: Terrain, view: View, tolerance: float, surface: RaySurface = "exact", *, exaggeration: float = 1.0,
     jobs: int | None = None,
 ) -> NDArray[np.float32]:  # fmt: skip
-    """The depth (height, width) of the picture that rays make of a terrain, metres; NaN where they meet nothing.
+    """The depth (height, width) of the picture of a terrain by rays, metres; NaN where they meet nothing.
 
-    The CPU draws it, or the GPU where the surface is not the exact one.
+    The CPU draws it, or the GPU if the surface is not the exact one.
     """
     exact = surface == "exact"
     scene = Scene.of(
@@ -283,7 +282,7 @@ def elsewhere(view: View) -> View:
 def fingerprints(mesh: Tessellation) -> NDArray[np.uint64]:
     """A number (m,) for each triangle, sorted: the same for the same three samples, whatever the mesh.
 
-    64 bits of a sum of mixed corners: of a million triangles two are confused with a chance of 10^-7.
+    64 bits of a sum of mixed corners: among a million triangles, two collide with a probability of 10^-7.
     """
     key = mesh.vertices[:, 0].astype(np.uint64) << np.uint64(32) | mesh.vertices[:, 1].astype(np.uint64)
     return np.sort(_mixed(_mixed(key)[mesh.triangles].sum(axis=1, dtype=np.uint64)))

@@ -3,10 +3,10 @@
 For each sample of the full-resolution surface the nearest point of the mesh in space, not on the vertical; the largest
 of these distances (Cignoni, Rocchini & Scopigno 1998, *Metro*, §3; here over all samples instead of random ones).
 
-Only few samples need a search: the distance on the vertical bounds the one in space, so in the order of falling
-vertical distances the search ends where these fall below the largest distance found so far (Taha & Hanbury 2015). A
-search goes down a tree of boxes over the triangles in Morton order (Lauterbach et al. 2009), nearer boxes first, and is
-broken off as soon as a triangle nearer than the largest distance found so far shows that the sample does not matter.
+Only few samples need a search: the vertical distance bounds the one in space, so with samples in the order of falling
+vertical distances, the search ends when these fall below the largest distance so far (Taha & Hanbury 2015). A
+search goes down a tree of boxes over the triangles in Morton order (Lauterbach et al. 2009), nearer boxes first, and
+stops as soon as a triangle nearer than the largest distance so far shows that the sample does not matter.
 The distance of a point from a triangle is Ericson's (2005, *Real-Time Collision Detection*, §5.1.5). Metres, float64.
 """
 
@@ -48,7 +48,7 @@ class Distance:
 def hausdorff(tessellation: Tessellation, terrain: Terrain) -> Distance:
     """The largest distance in space from a sample of the full-resolution surface to the mesh.
 
-    Samples that lie on no existing unit triangle are no part of the surface. True metres, no exaggeration, no view.
+    Samples that lie on no existing unit triangle are not part of the surface. True metres, no exaggeration, no view.
 
     Raises:
         UsageError: as ``judge_mesh``. DamagedChunkError: as ``terrain.read``.
@@ -90,8 +90,8 @@ def build_tree(points, triangles, corners):
     """A complete binary tree over triangles in Morton order.
 
     Returns:
-        (ranks (m,), boxes (2L, 6)): the order, LEAF triangles to a leaf; node i's box (lowest x, y, z, highest), the
-        root being node 1, the children of i 2i and 2i + 1, the leaves L … 2L − 1. Empty boxes are (inf …, −inf …).
+        (ranks (m,), boxes (2L, 6)): the order, LEAF triangles to a leaf; node i's box (lowest x, y, z, highest). The
+        root is node 1, the children of i are 2i and 2i + 1, the leaves L … 2L − 1. Empty boxes are (inf …, −inf …).
     """
     m = triangles.shape[0]
     codes = np.empty(m, np.uint64)
@@ -182,9 +182,9 @@ def to_mesh(points, triangles, ranks, boxes, stack, x, y, z, best, enough):
 
 @kernel
 def deviations(ground, band, corners, members):
-    """Distance on the vertical between each sample of a band and the mesh, (rows of the band, columns read) metres.
+    """Vertical distance between each sample of a band and the mesh, (rows of the band, columns read) metres.
 
-    Infinite where no triangle is, −1 for samples that are no part of the surface. Arguments as for ``sweep``.
+    Infinite where there is no triangle, −1 for samples that are not part of the surface. Arguments as for ``sweep``.
     """
     heights, top, west, shift = ground.heights, ground.top, ground.west, corners.shift
     count, width = band[1] - band[0] + 1, heights.shape[1]
@@ -216,7 +216,7 @@ def deviations(ground, band, corners, members):
 
 @kernel
 def farthest(ground, first, drops, linear, points, triangles, ranks, boxes, squared, column, row):
-    """Carry on the search for the farthest sample through a band: (squared distance, its column and row)."""
+    """Continue the search for the farthest sample in a band: (squared distance, its column and row)."""
     heights, top, west, stack = ground.heights, ground.top, ground.west, np.empty(128, np.int64)
     flat = drops.reshape(-1)
     largest = math.sqrt(squared) if squared >= 0.0 else -0.5

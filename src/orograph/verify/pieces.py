@@ -1,15 +1,16 @@
-"""The largest error between samples: on the pieces into which mesh and full-resolution surface cut one another.
+"""The largest error between samples: on the pieces into which mesh and full-resolution surface cut each other.
 
-A *piece* is what a triangle of the mesh and a unit triangle share, as far as it is in view: a convex polygon on which
-both surfaces are plane. Their distance on the screen is f·g (``frustum``). On a piece f is |δ/w| / (1 + c·δ/w), and on
-the screen δ/w is an affine function d, while g is the distance from the point where all verticals meet, the zenith's or
+A *piece* is the visible intersection of a triangle of the mesh and a unit triangle: a convex polygon on which both
+surfaces are plane. Their distance on the screen is f·g (``frustum``). On a piece f is |δ/w| / (1 + c·δ/w), and on the
+screen δ/w is an affine function d, while g is the distance from the point where all verticals meet, the zenith's or
 nadir's image. So, on the screen, ∇(f·g) = 0 only where ∇d points towards that point or away from it; across this
-direction d stays as it is and g grows: a saddle. The largest value lies on the piece's sides, but not always at its
-corners: on a side, d being linear and g² quadratic, the derivative vanishes where a cubic does (``stationary``).
+direction d is constant and g grows: a saddle. The largest value is therefore on the piece's sides, but not always at
+its corners: on a side, where d is linear and g² quadratic, the derivative vanishes at the roots of a cubic
+(``stationary``).
 
-Nor need every piece be cut out. |δ|, g and 1 / (w + c·δ) are largest at corners of any polygon (δ and w are linear, g
-is convex over a positive linear function), so that the product of their largest values at the corners of a cell bounds
-f·g in it. Only where that exceeds the largest error found so far is anything cut. Bounds below NEGLIGIBLE are let pass.
+Most pieces need not be cut out. |δ|, g and 1 / (w + c·δ) are largest at corners of any polygon (δ and w are linear, g
+is convex over a positive linear function), so the product of their largest values at the corners of a cell bounds f·g
+in it. Pieces are cut only where that exceeds the largest error so far. Bounds below NEGLIGIBLE are ignored.
 """
 
 from __future__ import annotations
@@ -29,17 +30,17 @@ NEGLIGIBLE = 1e-6
 """Pixels: errors that are not searched for."""
 
 COLUMN, ROW, X, Y, W, DROP, PARTS = range(7)
-"""What is known of the corners of a polygon: their place on the raster, before the camera, and metres to the mesh."""
+"""Fields of a polygon's corners: place on the raster, place before the camera, metres to the mesh."""
 
 
 class Cells(NamedTuple):
-    """What is known of the cells of a block before anything is cut, arrays of shape (rows, columns of the window).
+    """Facts about the cells of a block before any cutting, arrays of shape (rows, columns of the window).
 
     Attributes:
-        suspects: int32, how many cells of the row before this one an uncut triangle may err in by more than the largest
-            error so far. visible: int32, how many may be in view.
-        allowed: float64, metres between mesh and ground that make no larger error, −1 where that is not known. It takes
-            the place of the depths of the block's samples.
+        suspects: int32, the number of cells of the row before this one in which an uncut triangle's error may exceed
+            the largest so far. visible: int32, the number that may be in view.
+        allowed: float64, metres between mesh and ground that do not exceed that error, −1 where unknown. It
+            overwrites the depths of the block's samples.
     """
 
     suspects: NDArray[np.int32]
@@ -101,7 +102,7 @@ def largest_on_pieces(ground, block, shift, table, planes, lens, screen, worst):
 
 @kernel
 def survey_cells(ground, block, lens, screen, limit):
-    """Look which cells may hold an error of more than ``limit`` pixels."""
+    """Find the cells that may hold an error of more than ``limit`` pixels."""
     codes, f, g, w = screen
     rows, width = block.last + 1 - block.first, ground.heights.shape[1]
     cells = Cells(np.zeros((rows, width), np.int32), np.zeros((rows, width), np.int32), w)
@@ -121,15 +122,17 @@ def survey_cells(ground, block, lens, screen, limit):
                     near = min(w[i, j], w[i, j + 1], w[i + 1, j], w[i + 1, j + 1])
                     suspects += 1 if high * fast > limit * (1.0 + 1e-9) else 0
                     allowed = near * limit / (fast + c * limit)
-            w[i, j] = allowed  # no cell that is yet to come has this corner
+            w[i, j] = allowed  # no later cell has this corner
             cells.suspects[i, j + 1], cells.visible[i, j + 1] = suspects, visible
     return cells
 
 
 @leaf
 def cutting_edges(table, k, shift):
-    """Which edges of a triangle run elsewhere than along sides of unit triangles: bit 0, 1, 2 for those between its
-    first and second corner, first and third, second and third."""
+    """Which edges of a triangle do not run along sides of unit triangles.
+
+    Bits 0, 1, 2 are the edges between its first and second corner, first and third, second and third.
+    """
     edges, mask = 0, (1 << shift) - 1
     for e in range(3):
         x0, y0 = (table[k, C1], table[k, R1]) if e == 2 else (table[k, C0], table[k, R0])
@@ -146,8 +149,10 @@ def cutting_edges(table, k, shift):
 
 @leaf
 def cut_cells(table, k, edges, row, shift, west, east, cuts):
-    """Columns [first, last] of the cells of a row through which each of the given edges runs, within [west, east]; a
-    little more is allowed. Those that an edge shares with one before are left out where they can be."""
+    """Columns [first, last] of the cells of a row through which each of the given edges runs, within [west, east].
+
+    They may be slightly too many. Columns shared with an earlier edge are left out where possible.
+    """
     ticks = np.float64(1 << shift)
     for e in range(3):
         cuts[e, 0], cuts[e, 1] = 1, 0
@@ -180,7 +185,7 @@ def plane_at(planes, k, column, row):
 
 @inlined
 def may_exceed(ground, planes, k, column, row, allowed):
-    """Whether the plane of triangle k is farther from the ground of a cell than is allowed, or that is not known."""
+    """Whether triangle k's plane is farther from the ground of a cell than allowed, or this is unknown."""
     i, j, z = row - ground.top, column - ground.west, plane_at(planes, k, column, row)
     a, b = z - ground.heights[i, j], z + planes[k, 1] - ground.heights[i, j + 1]
     z += planes[k, 2]
@@ -190,7 +195,7 @@ def may_exceed(ground, planes, k, column, row, allowed):
 
 @leaf
 def judge_cell(ground, table, planes, k, shift, column, row, lens, work, worst):
-    """Raise ``worst`` to the largest error on what triangle k shares with the two unit triangles of a cell."""
+    """Raise ``worst`` to the largest error on the intersections of triangle k with a cell's two unit triangles."""
     for half in range(2):
         if exists(ground, column, row, half):
             judge_piece(ground, table, planes, k, shift, column, row, half, lens, work, worst)
@@ -212,7 +217,7 @@ def cut_between(source, i, j, t, into, k):
 
 @leaf
 def judge_piece(ground, table, planes, k, shift, column, row, half, lens, work, worst):
-    """Raise ``worst`` to the largest error on what triangle k shares with an existing unit triangle."""
+    """Raise ``worst`` to the largest error on the intersection of triangle k with an existing unit triangle."""
     polygon = work.polygon
     c0, r0, c1, r1, c2, r2 = corners(column, row, half)
     together, beyond = 63, 0
@@ -238,8 +243,10 @@ def judge_piece(ground, table, planes, k, shift, column, row, half, lens, work, 
 
 @leaf
 def clip_to_triangle(table, k, shift, work):
-    """Sutherland & Hodgman's clipping of the polygon (three corners) against triangle k; returns its corners'
-    number."""
+    """Sutherland & Hodgman's clipping of the polygon (three corners) against triangle k.
+
+    Returns the number of corners.
+    """
     polygon, other, count, ticks = work.polygon, work.other, 3, np.float64(1 << shift)
     x0, y0, x1, y1 = table[k, C0] / ticks, table[k, R0] / ticks, table[k, C1] / ticks, table[k, R1] / ticks
     x2, y2 = table[k, C2] / ticks, table[k, R2] / ticks
@@ -314,9 +321,9 @@ def judge_polygon(lens, polygon, count, worst):
 def judge_side(lens, polygon, i, j, worst):
     """Raise ``worst`` to the largest error inside the side from corner i to corner j.
 
-    s goes from 0 to 1 along the side on the screen. There δ/w = d + s·e, and g² = q0 + q1·s + q2·s² but for a factor;
-    the derivative of log(f²·g²) is that of log(d² / (1 + c·d)²) plus that of log g². Times everything below the line it
-    is a cubic, whose own derivative's roots cut [0, 1] into parts with one root at most.
+    s goes from 0 to 1 along the side on the screen. There δ/w = d + s·e, and g² = q0 + q1·s + q2·s² up to a factor; the
+    derivative of log(f²·g²) is that of log(d² / (1 + c·d)²) plus that of log g². Multiplied by its denominators it is a
+    cubic, whose own derivative's roots cut [0, 1] into parts with at most one root each.
     """
     c, wi, wj = lens.matrix[2, 2], polygon[i, W], polygon[j, W]
     ax, ay = lens.matrix[0, 2] - c * polygon[i, X] / wi, lens.matrix[1, 2] - c * polygon[i, Y] / wi

@@ -1,9 +1,9 @@
 """The referee of meshes whose truth is the Delaunay surface of points, not the raster (``stats["truth"]``).
 
-Both surfaces are linear on the pieces that triangles of one and of the other share. Each piece is found by clipping,
-and the distance on the screen is measured at its corners, at the middles of its sides and at its centre, where they are
-in view. What is missing or too much is told by areas and by places: the mesh may end up to ``RIM`` samples within the
-surface's rim. T-junctions, overlaps and the like are those that ``judge_mesh`` finds. Sample coordinates; pixels.
+Both surfaces are linear on the intersections of their triangles. Each such piece is found by clipping, and the distance
+on the screen is measured at its corners, at the middles of its sides and at its centre, where they are in view. Missing
+and extra parts are found by areas and by places: the mesh may end up to ``RIM`` samples within the surface's rim.
+T-junctions, overlaps and the like are those that ``judge_mesh`` finds. Sample coordinates; pixels.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Floats = NDArray[np.float64]
 def against_points(
     report: Report, tessellation: Tessellation, terrain: Terrain, view: View, exaggeration: float
 ) -> Report:
-    """A report on the mesh alone, with what it is off the Delaunay surface of the terrain's points."""
+    """The report on the mesh itself, with its errors from the Delaunay surface of the terrain's points."""
     surface: Surface = terrain.derived("points")
     x, y = (np.ldexp(v.astype(np.float64), -surface.bits) for v in (surface.x, surface.y))
     truth = np.stack([x, y, surface.z.astype(np.float64)], -1)
@@ -69,8 +69,10 @@ OF_MESHES = ("t_junctions", "overlaps", "crowded", "reversed", "flat", "duplicat
 
 
 def _lens(view: View, terrain: Terrain, exaggeration: float) -> tuple[Floats, Floats]:
-    """Rows (right, up, depth), and planes, over (column, row, height, 1); the first row's last number beyond is the
-    focal length in pixels, 0 in a plan."""
+    """Rows (right, up, depth), and planes, over (column, row, height, 1).
+
+    The first row's extra last number is the focal length in pixels, 0 in a plan.
+    """
     a, b, c, d, e, f = terrain.grid.samples[:6]
     to_world = np.array([[a, b, 0, c], [d, e, 0, f], [0, 0, exaggeration, 0], [0, 0, 0, 1]])
     plan = view.projection == "plan"
@@ -111,8 +113,10 @@ def _from_rim(at: Floats, rim: Floats) -> float:
 def _buckets(
     corners: Floats, triangles: NDArray[np.int32], shape: tuple[int, int]
 ) -> tuple[float, NDArray[np.int64], NDArray[np.int32]]:
-    """Triangles by the cells of a lattice that their boxes meet: the cells' side; where each cell's begin (rows, cols
-    of cells are ``first[-2:]``); the triangles."""
+    """Triangles by the cells of a lattice that their boxes meet.
+
+    Returns: the cells' side; where each cell's triangles begin (``first[-2:]`` is the lattice's shape); the triangles.
+    """
     size = max(1.0, math.sqrt(shape[0] * shape[1] / max(1, len(triangles))))
     rows, cols = int(shape[0] / size) + 1, int(shape[1] / size) + 1
     at = corners[triangles][:, :, :2]
@@ -130,8 +134,11 @@ def _buckets(
 
 @kernel
 def _measure(truth, ground, corners, mesh, size, first, held, lens, planes):
-    """(The largest distance in pixels, where; the area (m,) of the surface under each triangle of the mesh; which (n,)
-    of the surface's points it covers, and its height there)."""
+    """Measure the mesh against the surface.
+
+    Returns: the largest distance in pixels, and where; the area (m,) of the surface under each triangle of the mesh;
+    which (n,) of the surface's points it covers, and its height there.
+    """
     rows, cols = first[-2], first[-1]
     areas, covered, heights = np.zeros(len(mesh)), np.zeros(len(truth), np.bool_), np.zeros(len(truth))
     last, worst, where = np.full(len(mesh), -1, np.int32), 0.0, np.zeros(2)
@@ -189,7 +196,7 @@ def _height(u, v, w, x, y):
 
 @kernel
 def _clip(a, b, c, u, v, w, p, q):
-    """The polygon that two triangles share, in ``p``; its corners (Sutherland & Hodgman 1974)."""
+    """The intersection of two triangles, in ``p``; returns its number of corners (Sutherland & Hodgman 1974)."""
     for axis in range(2):
         p[0, axis], p[1, axis], p[2, axis] = a[axis], b[axis], c[axis]
     count = 3

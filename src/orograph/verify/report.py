@@ -1,4 +1,4 @@
-"""The referee's report: numbers, where the worst of each is, and whether the promise holds."""
+"""The referee's report: numbers, the places of the worst, and whether the promise holds."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ class Report:
 
     Attributes:
         triangles, vertices: of the mesh.
-        samples: full-resolution samples in view: inside the frustum, and on at least one unit triangle that exists.
+        samples: full-resolution samples in view: inside the frustum, and on at least one existing unit triangle.
         largest: the largest distance in pixels between a point of the full-resolution surface in view and the mesh on
             its vertical.
         worst: (column, row) of that point; None if nothing in view is covered.
         largest_at_samples, worst_sample: the same over samples alone.
         rms: root of the mean square of the distance, over the samples in view that are covered.
         uncovered: samples in view that lie on no triangle.
-        holes: unit triangles of the full-resolution surface, at least partly in view, that the mesh leaves uncovered
-            wholly or in part.
+        holes: unit triangles of the full-resolution surface, at least partly in view, that the mesh does not cover, or
+            only in part.
         bridged: missing unit triangles that the mesh covers wholly or in part.
         t_junctions: vertices that lie inside an edge of a triangle.
-        overlaps: triangles found to share area with another; 0 iff there are none (of several
-            on one another not each may be found).
+        overlaps: triangles found to share area with another; 0 iff there are none (in a stack of several, some may be
+            missed).
         crowded: edges of more than two triangles.
         reversed: triangles that turn clockwise from above in map orientation.
         flat: triangles without area.
         duplicates: vertices at the place of another.
         wrong_heights: vertices on samples whose height is not exactly the raster's, unless heights are free; and any
             that are not finite.
-        border, rim_of_missing, rim_of_culled: open edges (with one triangle) that ought to be there: at the raster's
-            border, beside missing ground, beside ground that is out of view.
+        border, rim_of_missing, rim_of_culled: legitimate open edges (with one triangle): at the raster's border, beside
+            missing ground, beside ground that is out of view.
         inner: the other open edges: ground in view lies beyond them, or another triangle that does not share the edge.
         places: (column, row) of the first of each kind of defect that was found.
     """
@@ -76,11 +76,11 @@ class Report:
 
     @property
     def defects(self) -> dict[str, int]:
-        """What is wrong with the mesh, whatever the tolerance; empty for a valid one."""
+        """The defects of the mesh, which do not depend on the tolerance; empty for a valid one."""
         return {name: getattr(self, name) for name in DEFECTS if getattr(self, name)}
 
     def ok(self, tolerance: float = math.inf) -> bool:
-        """Whether the mesh has no defect, and no point of the surface in view is over ``tolerance`` pixels from it."""
+        """Whether the mesh has no defect, and no surface point in view is more than ``tolerance`` pixels from it."""
         return not self.defects and self.largest <= tolerance * (1 + ROUNDING)
 
     def to_dict(self) -> dict[str, Any]:
@@ -110,7 +110,7 @@ class Report:
 
 
 def _at(where: Place | None) -> str:
-    """In words."""
+    """A place in words."""
     return "" if where is None else f" at column {where[0]:.8g}, row {where[1]:.8g}"
 
 

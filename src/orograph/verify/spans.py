@@ -1,7 +1,7 @@
-"""Triangles row by row: those of a band, from west to east, and what each spans of a row of samples.
+"""Triangles row by row: those of a band, from west to east, and the span of each in a row of samples.
 
 A band's triangles are found by counting, kept as a table of integers (``strips``) with their planes, and sorted by
-where they lie in a strip. Heights are metres, float64; everything else is integers.
+their position in a strip. Heights are metres, float64; everything else is integers.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def bucket(corners, signs, size, bands):
 
 @kernel
 def counted(values, indices, last):
-    """``indices`` by the values they point at, 0 … ``last``; those of equal values in the order in which they come."""
+    """``indices`` sorted by their values, 0 … ``last``, in a stable order."""
     place_at = np.zeros(last + 2, np.int64)
     for i in indices:
         place_at[values[i] + 1] += 1
@@ -95,12 +95,12 @@ def west_of(table, k, j, y0, y1):
 
 
 GAPS = (1050113, 262913, 65921, 16577, 4193, 1073, 281, 77, 23, 8, 1)
-"""Of Shellsort, 4^k + 3·2^(k−1) + 1: O(n^4/3) steps (Sedgewick 1986). NumPy's sorts take a second to compile."""
+"""Gaps of Shellsort, 4^k + 3·2^(k−1) + 1: O(n^4/3) steps (Sedgewick 1986). NumPy's sorts take a second to compile."""
 
 
 @leaf
 def sort_by(keys, items):
-    """Shellsort of the keys, and of the items that go with them."""
+    """Shellsort of the keys, together with their items."""
     for gap in GAPS:
         for i in range(gap, len(keys)):
             key, item, j = keys[i], items[i], i
@@ -112,7 +112,7 @@ def sort_by(keys, items):
 
 @leaf
 def sort_west_to_east(table, active, begin, end, y0, y1):
-    """Insertion sort of ``active[begin:end]``, exact; quick where the order is nearly right."""
+    """Insertion sort of ``active[begin:end]``, exact; fast if the order is nearly right."""
     for i in range(begin + 1, end):
         k, j = active[i], i
         while j > begin and west_of(table, k, active[j - 1], y0, y1):
@@ -123,8 +123,10 @@ def sort_west_to_east(table, active, begin, end, y0, y1):
 
 @kernel
 def ordered(corners, members):
-    """The members as a table of triangles (``strips``), and their planes (k, 5) float64: the height at the first
-    corner, its slopes along columns and rows, and the column and row of that corner."""
+    """The members as a table of triangles (``strips``), and their planes (k, 5) float64.
+
+    A plane is the height at the first corner, its slopes along columns and rows, and the column and row of that corner.
+    """
     triangles, x, y, vertices = corners.triangles, corners.x, corners.y, corners.vertices
     count = members.shape[0]
     table, planes = np.empty((count, 7), np.int64), np.empty((count, 5), np.float64)
@@ -148,7 +150,7 @@ def ordered(corners, members):
 
 @leaf
 def span_row(table, planes, k, row, shift, west, lowest, highest):
-    """Lower and raise the mesh's extremes at the samples of a row that triangle k spans."""
+    """Update the mesh's extremes at the samples of a row that triangle k spans."""
     wn, wd, en, ed = extent(table, k, row << shift)
     first = max((ceiling(wn, wd) + (1 << shift) - 1) >> shift, west)
     last = min((en // ed) >> shift, west + lowest.shape[0] - 1)
@@ -198,7 +200,7 @@ class Line(NamedTuple):
 
 @leaf
 def flag_between(line, a, b, flags):
-    """Flag the vertices of a row of ticks between two columns in ticks, these not included."""
+    """Flag the vertices of a row of ticks strictly between two columns in ticks."""
     first = max((a >> line.shift) - line.west, 0)
     last = min((b >> line.shift) - line.west, line.before.shape[0] - 2)
     if first <= last:

@@ -3,7 +3,7 @@
 Vertices lie at whole *ticks*: a sample spacing has 2^shift of them, so that all numbers here are integers. The rows of
 ticks with a sample or a vertex cut the terrain into strips. No vertex lies *inside* a strip: a triangle that meets the
 open strip crosses all of it, as a trapezoid between two of its edges. Whether trapezoids overlap, touch or leave a gap
-is then a matter of their four ends, fractions that are compared exactly. A side of a trapezoid is (n, step, d): its
+then depends on their four ends, fractions that are compared exactly. A side of a trapezoid is (n, step, d): its
 column in ticks is n/d at the strip's upper row and (n + step)/d at its lower, d > 0. With 2^30 ticks a side no number
 here exceeds 2^62.
 
@@ -20,7 +20,7 @@ import numpy as np
 from orograph._numba import inlined, leaf
 
 LONGEST = 1 << 30
-"""The most ticks along a side for which the numbers of fractions fit into int64."""
+"""Maximum ticks along a side for which the fractions' numbers fit into int64."""
 
 C0, R0, C1, R1, C2, R2, BEND = range(7)
 """Columns of a table of triangles: corners in ticks, ordered by (row, column), and where the middle one bulges: −1
@@ -40,8 +40,8 @@ class Strip(NamedTuple):
 def compare(n1, d1, n2, d2):
     """A number with the sign of n1/d1 − n2/d2; both d positive.
 
-    The difference n1·d2 − n2·d1 in int64 is right modulo 2^64. In float64 it is right to 2^41; if that shows that it
-    does not fit into int64, its sign is right there.
+    The difference n1·d2 − n2·d1 in int64 is correct modulo 2^64. In float64 it is correct to 2^41; if that shows that
+    it does not fit into int64, the sign is taken from there.
     """
     near = np.float64(n1) * np.float64(d2) - np.float64(n2) * np.float64(d1)
     if abs(near) > 2.0**62:
@@ -82,7 +82,7 @@ def sides(table, k, y0, y1):
 
 @inlined
 def extent(table, k, y):
-    """Where triangle k meets a row of ticks that it touches: west and east end (n, d, n, d)."""
+    """The extent of triangle k on a row of ticks that it touches: west and east end (n, d, n, d)."""
     if y < table[k, R2]:
         wn, _, wd, en, _, ed = sides(table, k, y, y)
         return wn, wd, en, ed
@@ -93,7 +93,7 @@ def extent(table, k, y):
 
 @inlined
 def ceiling(n, d):
-    """The least integer not below n/d."""
+    """The smallest integer not below n/d."""
     return -((-n) // d)
 
 
@@ -116,7 +116,7 @@ def unit(column, half, strip):
 def meets_unit(wn, wstep, wd, en, estep, ed, column, half, strip):
     """Whether a trapezoid and a unit triangle share some area in a strip.
 
-    They do not iff one lies west of the other at both rows: their sides are straight, and neither is a mere line.
+    They do not iff one lies west of the other at both rows: their sides are straight, and both have an area.
     """
     u0, u1, v0, v1 = unit(column, half, strip)
     if compare(en, ed, u0, 1) <= 0.0 and compare(en + estep, ed, u1, 1) <= 0.0:

@@ -25,14 +25,14 @@ from orograph.verify.spans import Line, find_junctions, ordered, sort_by, sort_w
 from orograph.verify.strips import R0, R2, Strip, sides
 
 SAMPLES, UNCOVERED, HOLES, BRIDGED, DUPLICATES, WRONG_HEIGHTS, COUNTS = range(7)
-"""What a block counts."""
+"""The counts of a block."""
 
 MISSING = 255
 """The outcode of missing samples."""
 
 
 class Block(NamedTuple):
-    """What of the terrain is judged at once: samples and cells [west, east) of rows first … last, vertices in them.
+    """The part of the terrain judged at once: samples and cells [west, east) of rows first … last, with its vertices.
 
     Attributes:
         rows: (r,) int64, the rows of ticks with a sample or a vertex, down to the last of the cells below row ``last``.
@@ -54,7 +54,7 @@ class Block(NamedTuple):
 
 
 class Screen(NamedTuple):
-    """What the samples of a block are on the screen, arrays of shape (rows of the block + 1, columns of the window).
+    """The samples of a block on the screen, arrays of shape (rows of the block + 1, columns of the window).
 
     Attributes:
         codes: uint8 outcodes, MISSING where there is no sample.
@@ -69,7 +69,7 @@ class Screen(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a sweep finds.
+    """The findings of a sweep.
 
     Attributes:
         counts, places: (COUNTS,) and (COUNTS, 2) int64, places in ticks.
@@ -84,7 +84,7 @@ class Found(NamedTuple):
 
 @inlined
 def note(found, what, x, y):
-    """Count a finding; the first one's place is kept."""
+    """Count a finding, and keep the first one's place."""
     if found.counts[what] == 0:
         found.places[what, 0], found.places[what, 1] = x, y
     found.counts[what] += 1
@@ -92,7 +92,7 @@ def note(found, what, x, y):
 
 @leaf
 def project_row(ground, row, first, lens, screen):
-    """Fill a row of ``screen``, but for the mesh."""
+    """Fill a row of ``screen``, except for the mesh."""
     i, k = row - ground.top, row - first
     for j in range(ground.heights.shape[1]):
         height = ground.heights[i, j]
@@ -135,7 +135,7 @@ def judge_samples(ground, block, row, over, under, lowest, highest, lens, screen
 
 @leaf
 def judge_vertices(ground, corners, block, r, line, found):
-    """Look at the vertices of a row of ticks, and set up their index by cells."""
+    """Check the vertices of a row of ticks, and set up their index by cells."""
     y, shift = block.rows[r], corners.shift
     at = block.start[r]
     for j in range(line.before.shape[0] - 1):
@@ -157,8 +157,10 @@ def judge_vertices(ground, corners, block, r, line, found):
 
 @kernel
 def begin(table, block, active):
-    """(how many triangles meet the strip below the block's first row, into ``active`` from west to east; the first
-    triangle that begins on or below that row)."""
+    """Put the triangles that meet the strip below the block's first row into ``active``, from west to east.
+
+    Returns: their number, and the first triangle that begins on or below that row.
+    """
     y, n, head = block.rows[0], 0, 0
     while head < table.shape[0] and table[head, R0] < y:
         if table[head, R2] > y:
@@ -177,8 +179,10 @@ def begin(table, block, active):
 
 @leaf
 def next_strip(table, active, n, merged, new, head, y0, y1):
-    """Drop the triangles that end at row y0, merge in those that begin there, new … head − 1: into ``merged``, from
-    west to east in the strip [y0, y1]. Returns how many there are."""
+    """Drop the triangles that end at row y0, and merge in those that begin there, new … head − 1.
+
+    The result is in ``merged``, from west to east in the strip [y0, y1]. Returns their number.
+    """
     end = table.shape[0]
     fresh = end - (head - new)
     for k in range(new, head):  # at the end of ``merged``, as scratch
@@ -203,7 +207,7 @@ def next_strip(table, active, n, merged, new, head, y0, y1):
 
 @leaf
 def count_marks(ground, block, row, marks, lens, points, scratch, found, shift):
-    """Count the holes and bridges marked in the cells below a row, and take the marks away."""
+    """Count the holes and bridges marked in the cells below a row, and remove the marks."""
     for j in range(marks.shape[0] - 1):
         column = ground.west + j
         if marks[j] != 0 and block.west <= column < block.east:
@@ -221,12 +225,12 @@ def sweep(ground, corners, block, lens, screen, junctions, overlapping):
 
     Args:
         ground: the samples of the block, and those of the rows and columns beside it.
-        corners, block, lens: see there.
+        corners, block, lens: see their classes.
         screen: to be filled.
         junctions (n,), overlapping (m,): uint8 flags of vertices and triangles, set to 1.
 
     Returns:
-        (what is found, the table of triangles, their planes)
+        (the findings, the table of triangles, their planes)
     """
     shift, width, count = corners.shift, ground.heights.shape[1], block.members.shape[0]
     table, planes = ordered(corners, block.members)
@@ -259,7 +263,7 @@ def sweep(ground, corners, block, lens, screen, junctions, overlapping):
         if with_vertices:
             judge_vertices(ground, corners, block, r, line, found)
         if on_samples or with_vertices:
-            touching = n + head - new if r > 0 else head  # on the first row also those that end there
+            touching = n + head - new if r > 0 else head  # on the first row, also those that end there
             for t in range(touching):
                 k = t if r == 0 else active[t] if t < n else new + t - n
                 if table[k, R2] >= y:

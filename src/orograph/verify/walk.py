@@ -70,8 +70,7 @@ class Span(NamedTuple):
 
 
 def true_depth(terrain: Terrain, camera: Camera, view: View, jobs: int | None) -> NDArray[np.float64]:
-    """The depth (h, w) at which the ray through each pixel's centre first meets the full-resolution surface; NaN where
-    it does not."""
+    """The depth (h, w) at which each pixel's ray first meets the full-resolution surface; NaN where it does not."""
     rays = Rays.of(camera, view)
     best = np.full((view.height, view.width), np.inf)
 

@@ -1,30 +1,29 @@
-"""Whether a raster's file is whole: what GDAL's drivers read past without a word.
+"""Checks whether a raster's file is intact, for damage that GDAL's drivers do not report.
 
-Most drivers notice a file that was cut short or a block that does not decode. Some do not, and give zeros or whatever
-was in memory. ``check_file`` looks at those formats when a file is first opened, and again when it or a file beside it
-was changed; ``check_blocks`` at the blocks of a GeoTIFF as they are read. Which formats need it was found by cutting
-and altering files of every driver (``tests/dem/test_mutants.py``):
+Most drivers notice a file that was cut short or a block that does not decode. Some do not, and return zeros or
+uninitialised memory. ``check_file`` examines those formats when a file is first opened, and again when it or a file
+beside it has changed; ``check_blocks`` examines the blocks of a GeoTIFF as they are read. The formats that need it were
+found by cutting and altering files of every driver (``tests/dem/test_mutants.py``):
 
-- GeoTIFF: streams that do not fill their block, or yield more than it holds, JPEG that libjpeg only warns of
-  (``blocks``); blocks that overlap, bytes that were put in, a mask that nothing leads to (``tiff``).
-- Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); headers of text with
-  words that are damaged, numbers that are none, or contradictions (``header_text``).
+- GeoTIFF: streams that do not fill their block, or yield more than it holds; JPEG that libjpeg only warns of
+  (``blocks``); overlapping blocks, inserted bytes, an unreachable mask (``tiff``).
+- Raw samples: sizes that differ from what the header promises (``sizes``, ``labels``, ``ilwis``); text headers with
+  damaged words, invalid numbers, or contradictions (``header_text``).
 - PNG: a file that ends early is padded with uninitialised memory (``png``).
 - HFA (.img), classic netCDF: blocks beyond the end of the file are uninitialised or 0 (``hfa``, ``netcdf``).
 - JPEG 2000, MRF: tiles that are lost or do not decode are uninitialised memory (``jp2``, ``mrf``).
-- GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: bytes too many (``containers``).
-- USGS DEMs: profiles that contradict what they say of themselves (``usgs``).
+- GeoPackage, MBTiles: tiles that do not decode are 0; HDF5: extra bytes (``containers``).
+- USGS DEMs: profiles that contradict their own headers (``usgs``).
 - GRIB 2: packed pictures whose checksums differ (``grib``).
-- Text (``text``): what is no number is 0, or the number that it begins with; a missing number is 0.
-- VRT: what it is made of is read by the drivers above (``virtual``).
-- netCDF's axes that are not even, and missing data that GDAL does not know (``cf``).
-- DTED: columns out of order, headers that contradict one another (``dted``).
-- Archives: what is read on where their checksums differ (``files``).
-- Notes beside a raster (.aux.xml) and masks (.msk) that cannot be read, which GDAL does without; a CRS (.prj) that was
-  cut short.
-- GTI: a tile that is lost is 0. Nobody says which tiles there are: refused.
+- Text (``text``): a word that is not a number is read as 0 or as the number it begins with; a missing number is 0.
+- VRT: the drivers above read its parts (``virtual``).
+- netCDF: uneven axes, and missing data that GDAL does not recognise (``cf``).
+- DTED: columns out of order, headers that contradict each other (``dted``).
+- Archives: GDAL reads on where their checksums differ (``files``).
+- Unreadable companions (.aux.xml) and masks (.msk), which GDAL ignores; a CRS (.prj) that was cut short.
+- GTI: a lost tile is 0. Nothing lists the tiles that should exist, so it is refused.
 
-Formats without checksums (raw samples, LZW…) cannot tell an altered number from a true one.
+In formats without checksums (raw samples, LZW…) an altered number cannot be detected.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ from orograph.errors import ReadError
 
 Window = tuple[int, int, int, int]
 Lend = Callable[[str], AbstractContextManager[tuple[Any, object]]]
-"""Opens what GDAL calls by a name: a dataset, and the file's name and state (``handles.lent``)."""
+"""Opens GDAL's name: returns a dataset, and the file's name and state (``handles.lent``)."""
 
 __all__ = ["DAMAGED", "check_blocks", "check_file", "check_mask", "fault_before"]
 
@@ -90,7 +89,7 @@ def _refuse_index(path: str) -> None:
 
 
 def _check_layout(dataset: Any, key: object) -> None:
-    """Look at where the parts of a TIFF lie, once."""
+    """Check once where the parts of a TIFF lie."""
     name = main_file(dataset)
     known = ("layout", key)
     if dataset.driver != "GTiff" or not here(name) or _seen(known):
@@ -108,7 +107,7 @@ def _check_layout(dataset: Any, key: object) -> None:
 
 
 def _refuse_lost_notes(dataset: Any) -> None:
-    """GDAL continues without what it wrote beside a raster (.aux.xml: nodata, CRS…) where that is no longer XML."""
+    """Refuse a raster whose .aux.xml (nodata, CRS…) is not XML, which GDAL ignores."""
     notes = Path(f"{main_file(dataset)}.aux.xml")
     if not notes.is_file():
         return
@@ -122,7 +121,7 @@ def _refuse_lost_notes(dataset: Any) -> None:
 
 
 def _refuse_cut_crs(dataset: Any) -> None:
-    """GDAL makes some other CRS of what is left of one that lies beside a raster (.prj) and was cut short."""
+    """Refuse a raster whose .prj was cut short: GDAL makes another CRS of the rest."""
     for name in files_listed(dataset):
         file = Path(name)
         if file.suffix.lower() != ".prj" or not file.is_file():
@@ -133,7 +132,7 @@ def _refuse_cut_crs(dataset: Any) -> None:
 
 
 def _refuse_lost_mask(dataset: Any) -> None:
-    """GDAL continues without a mask file that it cannot open: what is missing would be heights."""
+    """Refuse a raster whose mask file cannot be opened: GDAL would read missing samples as heights."""
     from rasterio.enums import MaskFlags
 
     mask = Path(f"{main_file(dataset)}.msk")
@@ -146,7 +145,7 @@ Check = Callable[[Any, str], str | None]
 
 
 def _checks(*checks: Check) -> Check:
-    """The first fault that one of them finds."""
+    """Run checks up to the first fault."""
     return lambda dataset, path: next((fault for check in checks if (fault := check(dataset, path))), None)
 
 
@@ -220,16 +219,16 @@ _CHECKS: dict[str, Check] = {
     "GSAG": text.surfer,
     "XYZ": text.points,
 }
-"""Format → what is wrong with an open dataset of it, given the path of its file on this disk; None: nothing."""
+"""Format → a function from an open dataset and the path of its file on this disk to its fault, or None."""
 
 _KNOWN = 1024
-_DIRECTORIES = 8  # the mask comes before the overviews, or right behind the raster
+_DIRECTORIES = 8  # the mask comes before the overviews, or directly after the raster
 _whole: OrderedDict[object, None] = OrderedDict()
 _lock = threading.Lock()
 
 
 def fault_before(location: str) -> str | None:
-    """What is wrong with a file that GDAL has not opened yet, and should not; None: nothing that is known."""
+    """The known fault of a file that GDAL must not open; None if there is none."""
     path = on_disk(location)
     if archived(location) or not path.is_file():
         return None
@@ -245,7 +244,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
     Args:
         dataset: of rasterio, just opened.
         location: what GDAL opened, for the message.
-        key: the file's name and state; what was found whole is not checked again.
+        key: the file's name and state; an intact file is not checked again.
     """
     key = key, _beside(dataset)
     if _seen(key):
@@ -269,7 +268,7 @@ def check_file(dataset: Any, location: str, key: object) -> None:
 
 
 def _beside(dataset: Any) -> tuple[object, ...]:
-    """The states of what lies beside a raster on this disk, which may change while its main file does not."""
+    """The states of a raster's companion files, which may change while the main file does not."""
     name = str(dataset.name)
     if not Path(name).exists():
         return ()
@@ -297,7 +296,7 @@ def _remember(key: object) -> None:
 
 
 def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int, lend: Lend) -> None:
-    """Raise ReadError if what holds the samples of a window is damaged, in a way that GDAL would not notice.
+    """Raise ReadError if the data of a window are damaged in a way that GDAL would not notice.
 
     Args:
         dataset: of rasterio, open.
@@ -314,8 +313,10 @@ def check_blocks(dataset: Any, key: object, band: int, window: Window, step: int
 
 
 def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
-    """Raise ReadError if a window (arguments as above) of the mask of a GeoTIFF or VRT is damaged: GDAL writes masks as
-    Deflate."""
+    """Raise ReadError if a window of a GeoTIFF's or VRT's mask is damaged (arguments as for ``check_blocks``).
+
+    GDAL writes masks with Deflate.
+    """
     name = main_file(dataset)
     if dataset.driver not in ("GTiff", "VRT") or not here(name):
         return
@@ -329,7 +330,7 @@ def check_mask(dataset: Any, key: object, window: Window, lend: Lend) -> None:
 
 
 def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
-    """GDAL's name of the mask in a GeoTIFF: a directory behind the first, one byte or bit for each sample."""
+    """GDAL's name of the mask inside a GeoTIFF: a directory after the first, with one byte or bit for each sample."""
     for number in range(2, _DIRECTORIES):
         location = f"GTIFF_DIR:{number}:{name}"
         try:
@@ -342,7 +343,7 @@ def _inner_mask(name: str, shape: tuple[int, int], lend: Lend) -> str | None:
 
 
 def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
-    """Look at a window (None: all) of a part of a VRT."""
+    """Check a window (None: all) of a part of a VRT."""
     wanted = part.shape or part.reach
     if wanted is not None:
         with lend(part.location) as (dataset, _):
@@ -357,13 +358,13 @@ def _check_part(lend: Lend, part: Part, window: Window | None) -> None:
 
 
 def _place_of(lend: Lend, part: Part) -> Place:
-    """Where the file of a part says that it lies."""
+    """The place that a part's file declares."""
     with lend(part.location) as (dataset, _):
         return dataset.transform, dataset.crs
 
 
 def _check_window(lend: Lend, location: str, band: int, window: Window | None, mask: bool) -> None:
-    """Look at a window (None: all) of a file that is a part of another, or of that file's mask."""
+    """Check a window (None: all) of a file that is a part of another, or of that file's mask."""
     with lend(location) as (dataset, key):
         top, left, height, width = window or (0, 0, dataset.height, dataset.width)
         bottom, right = min(top + height, dataset.height), min(left + width, dataset.width)

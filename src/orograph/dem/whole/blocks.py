@@ -1,10 +1,10 @@
 """GeoTIFFs: each block decodes to its own size and ends where its data end.
 
-libtiff stops as soon as a block is full. A damaged stream that happens to yield more than the block holds is thus taken
-for whole, its Adler-32 (Deflate, RFC 1950) never read, and the end of the block may be uninitialised memory; LZW and
-PackBits that yield too little leave the rest as it was. Here every block of these codecs (and of Zstandard) is decoded
-once more before its samples are used, once per file and process. Cloud-optimised files say before each block how long
-it is, and repeat its last bytes behind it: these are compared whatever the codec.
+libtiff stops as soon as a block is full. A damaged stream that happens to yield more than the block holds is thus
+accepted, its Adler-32 (Deflate, RFC 1950) is never read, and the end of the block may be uninitialised memory; LZW and
+PackBits streams that yield too little leave the rest unchanged. Here, every block of these codecs (and of Zstandard) is
+decoded once more before its samples are used, once per file and process. Cloud-optimised files store each block's
+length before it and repeat its last bytes after it; these are compared for every codec.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _compression(dataset: Any) -> str:
 
 
 def _guarded(dataset: Any) -> bool:
-    """Whether each block stands between its length and its last four bytes once more, as GDAL writes COGs."""
+    """Whether each block has its length before it and its last four bytes repeated after it, as in GDAL's COGs."""
     name = main_file(dataset)
     try:
         with Path(name).open("rb") if not archived(name) else stream(name) as file:
@@ -94,17 +94,17 @@ def _guarded(dataset: Any) -> bool:
     except OSError:
         return False
     at = 16 if head[2:3] == b"+" or head[3:4] == b"+" else 8
-    said = head[at : at + 512]
+    notes = head[at : at + 512]
     return (
-        said.startswith(b"GDAL_STRUCTURAL_METADATA_SIZE=")
-        and b"BLOCK_LEADER=SIZE_AS_UINT4" in said
-        and b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in said
-        and b"KNOWN_INCOMPATIBLE_EDITION=NO" in said
+        notes.startswith(b"GDAL_STRUCTURAL_METADATA_SIZE=")
+        and b"BLOCK_LEADER=SIZE_AS_UINT4" in notes
+        and b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in notes
+        and b"KNOWN_INCOMPATIBLE_EDITION=NO" in notes
     )
 
 
 def _sound_blocks(key: object, count: int) -> bytearray:
-    """Which blocks of a file were found sound."""
+    """The blocks of a file that passed the check."""
     with _lock:
         if key not in _sound or len(_sound[key]) < count:
             _sound[key] = bytearray(count)
@@ -151,7 +151,7 @@ def _deflate(data: bytes, least: int, most: int) -> str | None:
 
 
 def _lzw(data: bytes, least: int, most: int) -> str | None:
-    if data[:1] == b"\0" and data[1:2] and data[1] & 1:  # of before TIFF 6.0: the other order of bits
+    if data[:1] == b"\0" and data[1:2] and data[1] & 1:  # from before TIFF 6.0: the other bit order
         return None
     made, ended = lzw_length(np.frombuffer(data, np.uint8), most)
     return None if ended and made in (least, most) else "its LZW stream is damaged"
@@ -174,13 +174,16 @@ def _zstandard(data: bytes, least: int, most: int) -> str | None:
 
 
 def _jpeg(dataset: Any, data: bytes, band: int) -> str | None:
-    """What is wrong with a block of JPEG, whose tables stand once for all: libtiff goes on where libjpeg warns, so the
-    block is decoded as a file of its own, of which GDAL is told to take warnings for errors (``handles``)."""
+    """The fault of a JPEG block, whose tables are stored once for all blocks.
+
+    libtiff continues where libjpeg warns. So the block is decoded as a separate file, for which GDAL treats warnings as
+    errors (``handles``).
+    """
     from rasterio.errors import RasterioError
     from rasterio.io import MemoryFile
 
     if dataset.dtypes[band - 1] != "uint8":
-        return None  # of 12 bits, which GDAL's JPEG files may not have
+        return None  # 12 bits, which GDAL's JPEG driver may not support
     tables = bytes.fromhex(dataset.get_tag_item("JPEGTABLES", "TIFF", bidx=band) or "")
     whole = tables[:-2] + data[2:] if tables else data
     try:
@@ -211,8 +214,8 @@ def _frame_end(data: bytes) -> int:
 CODECS: dict[str, Callable[[bytes, int, int], str | None]] = {
     "DEFLATE": _deflate, "LZW": _lzw, "PACKBITS": _packed, "ZSTD": _zstandard,
 }  # fmt: skip
-"""Codec → what is wrong with a block's data, given how many bytes they hold, without and with rows
-beyond the raster; None: nothing."""
+"""Codec → a function to a block's fault, or None. It takes its data and its bytes without and with rows beyond the
+raster."""
 
 
 def _place(dataset: Any, band: int, row: int, col: int) -> tuple[int, int] | None:
@@ -223,14 +226,14 @@ def _place(dataset: Any, band: int, row: int, col: int) -> tuple[int, int] | Non
 
 
 def _together(dataset: Any) -> int:
-    """How many bands a block holds."""
+    """The number of bands in a block."""
     from rasterio.enums import Interleaving
 
     return dataset.count if dataset.interleaving == Interleaving.pixel else 1
 
 
 def _bytes_held(dataset: Any, band: int, row: int) -> tuple[int, int]:
-    """Bytes of the block's rows that lie within the raster (a last one may end with them), and of all its rows."""
+    """Bytes of the block's rows within the raster (the last block may end with them), and of all its rows."""
     high, wide = dataset.block_shapes[band - 1]
     bits = dataset.tags(band, ns="IMAGE_STRUCTURE").get("NBITS")
     sample = int(bits) if bits else 8 * np.dtype(dataset.dtypes[band - 1]).itemsize

@@ -1,8 +1,8 @@
-"""What the conventions of netCDF (CF 1.11) say of a variable that GDAL has open, and GDAL passes over.
+"""Parts of the netCDF conventions (CF 1.11) that GDAL ignores in a variable that it has opened.
 
 - Axes (§2.8, §4): GDAL compares a few coordinates with an absolute tolerance of 0.001, which is several samples of a
-  fine grid in degrees. Here all are compared.
-- Units of axes where there is no CRS (§4).
+  fine grid in degrees. Here, all are compared.
+- Units of axes without a CRS (§4).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _USUAL = ("x", "y", "lon", "lat", "longitude", "latitude", "easting", "northing"
 
 
 def is_depth_of(dataset: Any, band: int) -> bool:
-    """Whether a netCDF variable calls itself a depth."""
+    """Whether a netCDF variable is declared as a depth."""
     return dataset.driver == "netCDF" and is_depth(dataset.tags(band))
 
 
@@ -39,10 +39,10 @@ def refuse_uneven(dataset: Any) -> None:
 
 
 def transform_of(dataset: Any) -> Affine:
-    """The geotransform of a netCDF variable in metres where it names no CRS, or in degrees.
+    """The geotransform of a netCDF variable that names no CRS (in metres) or is in degrees.
 
-    GDAL knows axes by their standard names alone. Those that are only called x and y, longitude and latitude… are read
-    here; it then counts rows from the last to the first.
+    GDAL recognises axes by their standard names only. Axes that are only named x and y, longitude and latitude… are
+    read here; for them GDAL counts rows from the last to the first.
 
     Raises:
         ReadError: their unit is neither a length nor degrees.
@@ -82,7 +82,7 @@ class _Axis(NamedTuple):
 
 
 def _axes(dataset: Any) -> list[_Axis]:
-    """The coordinate variables of the last two dimensions: those that say so, or have a usual name."""
+    """The coordinate variables of the last two dimensions: those declared as such, or with a usual name."""
     if dataset.driver != "netCDF" or not here(main_file(dataset)):
         return []
     tags = dataset.tags()
@@ -100,7 +100,7 @@ def _axes(dataset: Any) -> list[_Axis]:
 
 
 def _values(dataset: Any, name: str) -> NDArray[Any] | None:
-    """A variable of one dimension that fits the raster; None: there is none of that name."""
+    """A variable of one dimension that fits the raster; None if there is none of that name."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning, RasterioError
 

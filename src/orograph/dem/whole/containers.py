@@ -1,6 +1,6 @@
-"""Containers whose own bookkeeping says whether they are whole: databases (GeoPackage, MBTiles) and HDF5.
+"""Containers that record their own extent: databases (GeoPackage, MBTiles) and HDF5.
 
-GDAL gives 0 for a tile that its database cannot find, and HDF5 does not mind bytes that are more than it wrote.
+GDAL gives 0 for a tile that its database cannot find, and the HDF5 library ignores extra bytes.
 
 Sources: SQLite's file format, section 1.3; HDF5 File Format Specification, section II.A (superblock).
 """
@@ -22,7 +22,7 @@ _LARGEST = 1 << 30
 
 
 def database(dataset: Any, path: str) -> str | None:
-    """What is wrong with a database of tiles, as a sentence; None if nothing is."""
+    """The fault of a database of tiles, as a sentence; None if there is none."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         head = file.read(100)
@@ -31,7 +31,7 @@ def database(dataset: Any, path: str) -> str | None:
     page = struct.unpack_from(">H", head, 16)[0]
     (pages,) = struct.unpack_from(">I", head, 28)
     wanted = (65536 if page == 1 else page) * pages
-    current = head[24:28] == head[92:96]  # else an old writer did not count its pages
+    current = head[24:28] == head[92:96]  # otherwise an old writer did not count its pages
     if Path(f"{path}-wal").exists():
         current = False
     if current and size < wanted:
@@ -41,19 +41,19 @@ def database(dataset: Any, path: str) -> str | None:
     try:
         connection = sqlite3.connect(f"file:{quote(str(Path(path).absolute()))}?mode=ro&immutable=1", uri=True)
         try:
-            said = [str(row[0]) for row in connection.execute("PRAGMA integrity_check(1)")]
-            lost = None if said != ["ok"] else _lost_tile(connection)
+            result = [str(row[0]) for row in connection.execute("PRAGMA integrity_check(1)")]
+            lost = None if result != ["ok"] else _lost_tile(connection)
         finally:
             connection.close()
     except sqlite3.Error as error:
         return f"Its database is damaged ({error})."
-    if said != ["ok"]:
-        return f"Its database is damaged ({' '.join(said[0].split())})."
+    if result != ["ok"]:
+        return f"Its database is damaged ({' '.join(result[0].split())})."
     return lost
 
 
 def _lost_tile(connection: sqlite3.Connection) -> str | None:
-    """A tile that does not decode, which GDAL gives as 0."""
+    """A tile that does not decode, for which GDAL gives 0."""
     tables = [str(row[0]) for row in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")]
     for table in tables:
         quoted = table.replace('"', '""')
@@ -73,7 +73,7 @@ def _lost_tile(connection: sqlite3.Connection) -> str | None:
 
 
 def hdf5(dataset: Any, path: str) -> str | None:
-    """What is wrong with the length of an HDF5 file, a sentence; None: nothing, or it is none."""
+    """The fault in the length of an HDF5 file, as a sentence; None if there is none or it is another format."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         head = file.read(96)

@@ -1,4 +1,4 @@
-"""DTED and SRTM's .hgt: where a tile lies, which each file says more than once.
+"""DTED and SRTM's .hgt: the place of a tile, which a file states more than once.
 
 Source: MIL-PRF-89020B, section 3.13 (UHL, DSI and the data records); SRTM's topography format (.hgt).
 """
@@ -19,17 +19,17 @@ _ANGLE = re.compile(rb"(\d{2,3})(\d\d)(\d\d(?:\.\d+)?)([NSEW])\Z")
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a DTED file, as a sentence; None if nothing is."""
+    """The fault of a DTED file, as a sentence; None if there is none."""
     record = 12 + 2 * dataset.height
     size = Path(path).stat().st_size
     partial = dataset.tags().get("DTED_PartialCellIndicator", "00").strip() not in ("", "0", "00")
     cut = partial and size < _HEADERS + dataset.width * record and (size - _HEADERS) % record == 0
-    said = None if cut else exact(path, _HEADERS + dataset.width * record)  # of a partial cell columns may be left out
-    return said or _headers_fault(path) or _order_fault(path, record, (size - _HEADERS) // record)
+    short = None if cut else exact(path, _HEADERS + dataset.width * record)  # a partial cell may omit columns
+    return short or _headers_fault(path) or _order_fault(path, record, (size - _HEADERS) // record)
 
 
 def _headers_fault(path: str) -> str | None:
-    """The place that the first header (UHL) gives, which GDAL takes, beside that of the second (DSI)."""
+    """Compare the place in the first header (UHL), which GDAL uses, with that in the second (DSI)."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADERS)
     at = head.find(b"UHL")
@@ -43,14 +43,14 @@ def _headers_fault(path: str) -> str | None:
         ("has an eastward step of", _tenths(head[at + 20 : at + 24]), _tenths(head[data + 277 : data + 281])),
         ("has a northward step of", _tenths(head[at + 24 : at + 28]), _tenths(head[data + 273 : data + 277])),
     ):
-        limit = 1.0 if "begins" in what else 1e-9  # the data of a partial cell begin within its degree
+        limit = 1.0 if "begins" in what else 1e-9  # the data of a partial cell may begin inside its degree
         if here is not None and there is not None and abs(here - there) > limit:
             return f"Its first header says that it {what} {here:g}, the second (DSI) {there:g} degrees."
     return None
 
 
 def _angle(text: bytes) -> float | None:
-    """Degrees of "DDDMMSSH" or "DDMMSS.SH"; None: it is none."""
+    """Degrees from "DDDMMSSH" or "DDMMSS.SH"; None if it is invalid."""
     found = _ANGLE.match(text.strip())
     if found is None:
         return None
@@ -59,12 +59,12 @@ def _angle(text: bytes) -> float | None:
 
 
 def _tenths(text: bytes) -> float | None:
-    """Degrees of tenths of seconds; None: they are not said."""
+    """Degrees from tenths of seconds; None if there are none."""
     return int(text) / 36000 if text.strip().isdigit() else None
 
 
 def _order_fault(path: str, record: int, count: int) -> str | None:
-    """Records count themselves, and the columns that they are (all 0: the writer did not)."""
+    """Check the numbers of records and of their columns (all 0: the writer did not count)."""
     with Path(path).open("rb") as file:
         file.seek(_HEADERS)
         numbers = [struct.unpack_from(">H", file.read(record), 4)[0] for _ in range(count)]
@@ -76,7 +76,7 @@ def _order_fault(path: str, record: int, count: int) -> str | None:
 
 
 def hgt(dataset: Any, path: str) -> str | None:
-    """What is wrong with the name of a tile of SRTM, which alone says where it lies; None: nothing."""
+    """The fault of an SRTM tile's name, which alone gives its place; None if there is none."""
     found = re.match(r"[NS](\d\d)[EW](\d{3})", Path(str(dataset.name)).name.upper())
     if found is not None and (int(found[1]) > 90 or int(found[2]) > 180):
         return f"Its name places it at {found[0]}, which is not a valid position."

@@ -22,8 +22,10 @@ DAMAGED = "The file is damaged or truncated: fetch it again, or restore it from 
 
 
 class _Opening:
-    """Keeps rasterio from warning of files without a place, in all threads that open files meanwhile: of filters that
-    each thread sets for itself, those of another may be left behind."""
+    """Suppresses rasterio's warnings about files without a place, for all threads that open files.
+
+    A filter per thread would not do: filters of other threads may be left behind.
+    """
 
     def __init__(self) -> None:
         self._lock, self._count = threading.Lock(), 0
@@ -69,8 +71,10 @@ _ARCHIVE = re.compile(r"/vsi(?:zip|tar|gzip|7z|rar)/")
 
 
 def file_in(name: str) -> tuple[str, str, str]:
-    """A name of GDAL's cut into what is before the file, the file, and what follows: of ``NETCDF:"a.nc":z`` the file is
-    ``a.nc``. Of most names all is the file."""
+    """Split GDAL's name into what precedes the file, the file, and what follows.
+
+    For ``NETCDF:"a.nc":z`` the file is ``a.nc``. Most names are just the file.
+    """
     within = _WITHIN.fullmatch(name)
     if within is not None:
         return within[1], within[2], within[3]
@@ -82,7 +86,7 @@ def file_in(name: str) -> tuple[str, str, str]:
 
 
 def on_disk(name: str) -> Path:
-    """The file on this disk behind a name of GDAL's: of what lies in an archive the archive. It need not be there."""
+    """The file on this disk behind GDAL's name; for one in an archive, the archive. It need not exist."""
     name = file_in(name)[1]
     inside = _ARCHIVE.match(name)
     if inside is None:
@@ -95,7 +99,7 @@ def on_disk(name: str) -> Path:
 
 
 def absolute(name: str) -> str:
-    """A name of GDAL's that means the same file from any folder; of what is not on this disk the name."""
+    """GDAL's name that means the same file from any folder; unchanged if the file is not on this disk."""
     before, file, after = file_in(name)
     at = on_disk(name)
     if not at.exists():
@@ -114,8 +118,7 @@ def main_file(dataset: Any) -> str:
 
 
 def files_listed(dataset: Any) -> list[str]:
-    """GDAL's names of the files of a dataset, and those beside it, there or not, that its driver reads and does not
-    list."""
+    """GDAL's names of a dataset's files, and of others, existing or not, that its driver reads without listing them."""
     main = Path(str(dataset.name))
     if main.is_dir():
         return files_in(dataset)
@@ -123,7 +126,7 @@ def files_listed(dataset: Any) -> list[str]:
 
 
 def files_in(dataset: Any) -> list[str]:
-    """GDAL's names of the files of a dataset: those its driver lists, and those that some do not."""
+    """GDAL's names of a dataset's files: those that its driver lists, and those that it does not."""
     listed = [str(name) for name in dataset.files]
     main = on_disk(str(dataset.name))
     if dataset.driver in _UNLISTED and main.is_file():
@@ -135,27 +138,27 @@ def files_in(dataset: Any) -> list[str]:
 
 
 def archive_name(name: str) -> bool:
-    """Whether a name of GDAL's is that of a file in an archive."""
+    """Whether GDAL's name refers to a file in an archive."""
     return bool(_ARCHIVE.match(name)) and "/vsi" not in name[4:]
 
 
 def archived(name: str) -> bool:
-    """Whether a file of GDAL's name lies in a .zip, .gz or .tar on this disk."""
+    """Whether GDAL's name refers to a file in a .zip, .gz or .tar on this disk."""
     return name.startswith(("/vsigzip/", "/vsizip/", "/vsitar/")) and on_disk(name).is_file()
 
 
 def here(name: str) -> bool:
-    """Whether a file of GDAL's name lies on this disk, in an archive or not."""
+    """Whether GDAL's name refers to a file on this disk, in an archive or not."""
     return archived(name) or Path(name).is_file()
 
 
 def _member(name: str) -> str:
-    """What a file is called in its archive."""
+    """A file's name inside its archive."""
     return name.partition("/vsi")[2].partition("/")[2].removeprefix("{")[len(str(on_disk(name))) :].lstrip("}/")
 
 
 def _zip_member(packed: zipfile.ZipFile, name: str) -> IO[bytes]:
-    """Open a file of an archive; ReadError if it is packed in a way that Python does not know, or with a password."""
+    """Open a file in an archive; ReadError if Python does not know its compression, or it has a password."""
     try:
         return packed.open(_member(name))
     except (NotImplementedError, RuntimeError) as error:
@@ -163,7 +166,7 @@ def _zip_member(packed: zipfile.ZipFile, name: str) -> IO[bytes]:
 
 
 def _plain(packed: tarfile.TarFile, member: tarfile.TarInfo) -> str:
-    """What the plain header of a tar's member calls it."""
+    """A tar member's name in its plain header."""
     if packed.fileobj is None or "path" not in member.pax_headers:
         return member.name
     packed.fileobj.seek(member.offset_data - tarfile.BLOCKSIZE)
@@ -171,7 +174,7 @@ def _plain(packed: tarfile.TarFile, member: tarfile.TarInfo) -> str:
 
 
 def plain_name(file: Path, name: str) -> str | None:
-    """What the plain header of a member of a tar calls it; None if there is no such member."""
+    """A tar member's name in its plain header; None if there is no such member."""
     with tarfile.open(file) as packed:
         member = next((one for one in packed if one.name == name), None)
         return None if member is None else _plain(packed, member)
@@ -183,21 +186,21 @@ def _tar_member(name: str) -> Iterator[IO[bytes]]:
         wanted = _member(name)
         try:
             member = packed.getmember(wanted)
-        except KeyError:  # GDAL's name of one that has another in its extended header
+        except KeyError:  # GDAL's name of a member with another name in its extended header
             member = next((one for one in packed if _plain(packed, one) == wanted), None) or packed.getmember(wanted)
         inside = packed.extractfile(member)
         if inside is None:
             raise tarfile.TarError(f"{_member(name)} is not a file")
         with inside:
             yield inside
-        if packed.fileobj is not None:  # the checksum of a compressed one stands at its end
+        if packed.fileobj is not None:  # a compressed tar has its checksum at the end
             while packed.fileobj.read(1 << 20):
                 pass
 
 
 @contextmanager
 def stream(name: str) -> Iterator[IO[bytes]]:
-    """The bytes of a file on this disk, or of one in an archive: best read forwards.
+    """The bytes of a file on this disk or in an archive, best read in order.
 
     Raises:
         ReadError: an archive is damaged.
@@ -220,8 +223,9 @@ def stream(name: str) -> Iterator[IO[bytes]]:
 
 
 def check_packed(dataset: Any) -> None:
-    """Unpack the files of a dataset that lie in an archive, to the end: there stand the checksums, which GDAL leaves
-    unread where it needs only a part, and goes on after where they differ.
+    """Unpack a dataset's files in an archive up to the end, where the checksums are.
+
+    GDAL does not read the checksums where it needs only a part, and continues where they differ.
 
     Raises:
         ReadError: an archive is damaged.
@@ -239,7 +243,7 @@ def check_packed(dataset: Any) -> None:
 
 
 def _unlisted(dataset: Any, name: str) -> list[str]:
-    """GDAL's names of what may lie beside a file in its archive, and is not listed."""
+    """GDAL's names of possible companions in a file's archive that are not listed."""
     if name.startswith("/vsigzip/"):
         return []
     stem = name.rpartition(".")[0]
@@ -254,11 +258,12 @@ def _unpack(name: str, folder: str) -> None:
 
 @contextmanager
 def local_file(dataset: Any) -> Iterator[str | None]:
-    """The path on this disk of a dataset's main file, unpacked or fetched for this if need be; None if it is remote and
-    too large for that, or no file.
+    """The path on this disk of a dataset's main file, unpacked or fetched if necessary.
+
+    None if the file is remote and too large for that, or if there is no file.
 
     Raises:
-        ReadError: an archive is damaged.
+        ReadError: an archive is damaged.@@ src/orograph/dem/synth.py
     """
     name = main_file(dataset)
     if not name.startswith("/vsi"):
@@ -267,11 +272,11 @@ def local_file(dataset: Any) -> Iterator[str | None]:
     with temporary() as folder:
         out = Path(folder) / Path(name).name
         if archived(name):
-            for part in dataset.files:  # headers and samples beside it count, too
+            for part in dataset.files:  # companion files with headers and samples count too
                 if archived(part):
                     _unpack(part, folder)
             for part in _unlisted(dataset, name):
-                with suppress(ReadError):  # not all of them are there
+                with suppress(ReadError):  # not all of them exist
                     _unpack(part, folder)
         elif dataset.driver in _FETCHED:
             from rasterio.shutil import copyfiles

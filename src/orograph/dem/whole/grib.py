@@ -1,6 +1,6 @@
-"""GRIB 2: every message ends where it says, and pictures in it (PNG, JPEG 2000) are whole.
+"""GRIB 2: every message ends where it says, and the pictures in it (PNG, JPEG 2000) are intact.
 
-The library behind GDAL's driver decodes what it can of a packed picture, and reads no checksum of PNG.
+The library behind GDAL's driver decodes as much of a packed picture as it can, and ignores PNG's checksums.
 
 Source: WMO Manual on Codes, FM 92 GRIB edition 2 (sections 0, 5, 7 and 8).
 """
@@ -21,7 +21,7 @@ _LARGEST = 1 << 28
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a GRIB file, as a sentence; None if nothing is."""
+    """The fault of a GRIB file, as a sentence; None if there is none."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         at = file.read(1 << 16).find(b"GRIB")
@@ -40,14 +40,14 @@ def fault(dataset: Any, path: str) -> str | None:
             number += 1
             if at + length > size:
                 return f"It ends after {size:,} bytes, within message {number}."
-            if said := _message_fault(file, at + 16, at + length, size <= _LARGEST):
-                return f"Message {number}: {said}"
+            if found := _message_fault(file, at + 16, at + length, size <= _LARGEST):
+                return f"Message {number}: {found}"
             at += length
     return None
 
 
 def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | None:
-    """What is wrong with the sections of a message between two bytes, as a sentence; None if nothing is."""
+    """The fault in the sections of a message between two bytes, as a sentence; None if there is none."""
     template = 0
     while at < end - 4:
         file.seek(at)
@@ -60,9 +60,9 @@ def _message_fault(file: IO[bytes], at: int, end: int, packed: bool) -> str | No
         elif section == 7 and packed and length > 5 and template in (*_JPEG2000, *_PNG):
             file.seek(at + 5)
             data = file.read(length - 5)
-            said = bytes_fault(data) if template in _PNG else stream_fault(BytesIO(data), 0, len(data))
-            if said is not None:
-                return said
+            broken = bytes_fault(data) if template in _PNG else stream_fault(BytesIO(data), 0, len(data))
+            if broken is not None:
+                return broken
         at += length
     file.seek(end - 4)
     return None if file.read(4) == b"7777" else "it lacks its end marker (7777)."

@@ -1,8 +1,8 @@
-"""Headers of text beside raw samples: every number is a number, every word is known, nothing occurs twice.
+"""Text headers of raw samples: every number is valid, every word is known, nothing occurs twice.
 
-GDAL takes what it understands of a header and its defaults for the rest: of ``NBITS x`` 8 bits, of a damaged
-``BYTEORDER`` the order of this machine, of a lost ``XDIM`` a step of 1. A key that is one letter away from a known one
-is taken for that one, damaged; all others are left to their writers.
+GDAL uses the parts of a header that it understands, and defaults for the rest: 8 bits for ``NBITS x``, this machine's
+byte order for a damaged ``BYTEORDER``, a step of 1 if ``XDIM`` is lost. A key that differs from a known one by one
+letter is taken for a damaged form of it. All other keys are ignored, because they are their writers' own.
 
 Sources: ESRI's .hdr, ENVI's header, ER Mapper's .ers, Idrisi's .rdc, SAGA's .sgrd, R's .grd and PCI's .aux as their
 makers document them.
@@ -24,17 +24,17 @@ _WHOLE = re.compile(r"\d+\Z")
 
 
 class Form(NamedTuple):
-    """What a header of text may say.
+    """The permitted content of a text header.
 
     Attributes:
         endings: of the header's file; "": the main file itself.
-        parting: what stands between key and value; None: white space.
+        parting: the separator of key and value; None: white space.
         whole, numbers: keys of whole numbers, and of any.
-        words: keys of one word among some, in capitals.
-        needed: groups of keys of which all are there or none; a group that begins with "" must be there.
-        ordered: pairs of keys, the first of which is the lesser number.
+        words: keys and their permitted words, in capitals.
+        needed: groups of keys that occur together or not at all; a group that begins with "" is required.
+        ordered: pairs of keys, of which the first has the smaller number.
         other: further keys.
-        shortest: letters of a key that another may be a damaged form of.
+        shortest: minimum length of a key whose damaged forms are recognised.
     """
 
     endings: tuple[str, ...]
@@ -144,7 +144,7 @@ FORMS = {
 
 
 def pairs(text: str, parting: str | None) -> list[tuple[str, str]]:
-    """Keys and values of a text's lines, parted by a character or by white space (None)."""
+    """Keys and values from a text's lines, separated by a character or by white space (None)."""
     found = []
     for line in text.splitlines():
         key, _, value = line.strip().partition(parting) if parting else _first_word(line.strip())
@@ -159,7 +159,7 @@ def _first_word(line: str) -> tuple[str, str, str]:
 
 
 def check(driver: str) -> Callable[[Any, str], str | None]:
-    """What is wrong with the header of a dataset of this driver, given its main file."""
+    """The fault of the header of a dataset of this driver, given its main file."""
     form = FORMS[driver]
 
     def fault(dataset: Any, path: str) -> str | None:
@@ -173,7 +173,7 @@ def check(driver: str) -> Callable[[Any, str], str | None]:
 
 
 def _header(path: str, endings: Iterable[str]) -> Path | None:
-    """The header of a raster of this main file."""
+    """The header of a raster with this main file."""
     files = (
         Path(path) if not ending else Path(path + ending[1:]) if ending[0] == "+" else Path(path).with_suffix(ending)
         for ending in endings
@@ -182,7 +182,7 @@ def _header(path: str, endings: Iterable[str]) -> Path | None:
 
 
 def braces_fault(text: str) -> str | None:
-    """What is wrong with the braces of a header, as a sentence; None if nothing is."""
+    """The fault in a header's braces, as a sentence; None if there is none."""
     open_parts: list[str] = []
     if text.lstrip().startswith("DatasetHeader"):
         for name, what in re.findall(r"^[ \t]*(\w+)[ \t]+(Begin|End)[ \t]*\r?$", text, re.M):
@@ -198,15 +198,15 @@ def braces_fault(text: str) -> str | None:
 
 
 def _flat(text: str) -> str:
-    """A text without what stands in braces, which is of no form."""
+    """A text without the parts in braces, which are free text."""
     return re.sub(r"\{[^}]*\}", "{}", text)
 
 
-def form_fault(form: Form, said: list[tuple[str, str]]) -> str | None:
-    """What is wrong with what a header says, as a sentence; None if nothing is."""
+def form_fault(form: Form, entries: list[tuple[str, str]]) -> str | None:
+    """The fault in a header's content, as a sentence; None if there is none."""
     spelt = {key.lower(): key for key in _keys(form)}
     values: dict[str, str] = {}
-    for written, value in said:
+    for written, value in entries:
         key = spelt.get(re.sub(r"\s+", " ", written).lower())
         if key is None:
             long = (known for known in spelt.values() if len(known) >= form.shortest)
@@ -251,7 +251,7 @@ def _lack(form: Form, values: dict[str, str]) -> str | None:
 
 
 def _nearly(a: str, b: str) -> bool:
-    """Whether two words differ by one letter: changed (but one number for another), lost or added."""
+    """Whether two words differ by one letter: changed (except one digit for another), lost or added."""
     if abs(len(a) - len(b)) > 1 or a == b:
         return False
     if len(a) == len(b):
@@ -264,10 +264,13 @@ def _nearly(a: str, b: str) -> bool:
 _ROWS, _PLAUSIBLE, _GREATEST = 16, (1e-6, 1e6), 1e8
 
 
-def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
-    """A header of numbers of 32 bits that does not call them floating, which they clearly are; one of a corner and no
-    step, for which GDAL takes 1."""
-    if any(key.startswith(("XLL", "YLL")) for key in said) and not {"CELLSIZE", "XDIM"} & set(said):
+def kind_fault(dataset: Any, header: dict[str, str]) -> str | None:
+    """Faults of a header's numbers that GDAL does not notice.
+
+    32-bit floats may be declared as integers or with the opposite byte order; or a corner may have no step, for which
+    GDAL assumes 1.
+    """
+    if any(key.startswith(("XLL", "YLL")) for key in header) and not {"CELLSIZE", "XDIM"} & set(header):
         return "Its header lacks 'CELLSIZE'."
     if np.dtype(dataset.dtypes[0]).itemsize != 4:
         return None
@@ -277,13 +280,13 @@ def kind_fault(dataset: Any, said: dict[str, str]) -> str | None:
         turned = not _floating(words) and _floating(words.byteswap())
         return "Its numbers are in the opposite byte order from its header ('BYTEORDER')." if turned else None
     large = words[words > 0]
-    if "PIXELTYPE" in said or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
+    if "PIXELTYPE" in header or not _floating(words) or np.median(np.abs(large.view(np.int32) / 1.0)) < _GREATEST:
         return None
     return "Its numbers look like floats, but its header does not declare them so ('PIXELTYPE FLOAT')."
 
 
 def _floating(words: NDArray[np.uint32]) -> bool:
-    """Whether words of 32 bits are floating numbers such as heights are: nearly all, and not all 0."""
+    """Whether 32-bit words are floating-point heights: nearly all plausible, and not all 0."""
     there = words[words > 0]
     values = np.abs(there.view(np.float32))
     return bool(there.size) and float(((values > _PLAUSIBLE[0]) & (values < _PLAUSIBLE[1])).mean()) > 0.5

@@ -1,8 +1,8 @@
-"""Erdas Imagine (.img): every block that the file claims to hold lies within it, and runs fill the blocks they make.
+"""Erdas Imagine (.img): every block that the file claims to hold lies within it, and runs fill their blocks.
 
-Source: the HFA structure as GDAL documents it (frmts/hfa): a tree of entries, of which those of type ``Edms_State``
-list a layer's blocks, and those of type ``ImgExternalRaster`` say where they begin in a file beside it (.ige). A
-compressed block holds runs: their lengths, each in 1 to 4 bytes, then their values in packed bits.
+Source: the HFA structure as GDAL documents it (frmts/hfa): a tree of entries. Entries of type ``Edms_State`` list a
+layer's blocks; those of type ``ImgExternalRaster`` say where the blocks begin in a companion file (.ige). A compressed
+block holds runs: their lengths, each in 1 to 4 bytes, then their values in packed bits.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from orograph.dem.whole.kernels import run_lengths
 _ENTRY = struct.Struct("<IIIIIi64s32s")  # next, previous, parent, child, data, their size, name, type
 _STATE = struct.Struct("<iiihII")  # blocks, objects, next object, compression, blocks listed, where
 _BLOCK = np.dtype([("file", "<i2"), ("offset", "<u4"), ("size", "<u4"), ("valid", "<i2"), ("packed", "<i2")])
-_PACKED = struct.Struct("<iiib")  # least value, runs (-1: none, all values), where the values are, bits of each
+_PACKED = struct.Struct("<iiib")  # smallest value, runs (-1: no runs, all values), offset of the values, bits per value
 _MOST_ENTRIES = 1 << 20
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with an Imagine file, as a sentence; None if nothing is."""
+    """The fault of an Imagine file, as a sentence; None if there is none."""
     size = Path(path).stat().st_size
     high, wide = dataset.block_shapes[0]
     count = -(-dataset.height // high) * -(-dataset.width // wide)
@@ -59,7 +59,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def _nodes(file: BinaryIO) -> Iterator[tuple[bytes, int]]:
-    """Type of every entry, and where its data are."""
+    """The type of every entry, and the offset of its data."""
     (header,) = struct.unpack("<I", _at(file, 16, 4))
     (root,) = struct.unpack("<I", _at(file, header + 8, 4))
     waiting, seen = [root], set[int]()
@@ -76,7 +76,7 @@ def _nodes(file: BinaryIO) -> Iterator[tuple[bytes, int]]:
 
 
 def _spilled_end(file: BinaryIO, at: int, layer: int) -> int:
-    """Bytes that a file beside must have at least for one layer of the stack that lies in it."""
+    """The minimum length of the companion file for one layer of its stack, bytes."""
     (name,) = struct.unpack("<I", _at(file, at, 4))
     _, begin, stack, _ = struct.unpack("<QQII", _at(file, at + 8 + name, 24))
     return int(begin + layer * stack)

@@ -1,6 +1,6 @@
-"""JPEG 2000: the codestream has all its tiles, each as long as it says, and ends with its mark.
+"""JPEG 2000: the codestream has all its tiles, each as long as it says, and its end marker.
 
-OpenJPEG gives what it has of a stream that ends early; tiles that are lost are uninitialised memory.
+OpenJPEG returns what it has of a stream that ends early; lost tiles are uninitialised memory.
 
 Source: ITU-T T.800, annexes A (markers) and I (boxes).
 """
@@ -20,8 +20,10 @@ _NESTS = (b"jp2h", b"asoc", b"res ", b"uinf")
 
 
 def fault_before(path: str) -> str | None:
-    """What is wrong with the boxes of a file that GDAL has not opened yet: one within another whose length cannot be
-    keeps GDAL busy for ever. None: nothing, or it is no JPEG 2000."""
+    """The fault in the boxes of a file that GDAL has not opened yet; None if there is none, or it is not JPEG 2000.
+
+    A nested box with an impossible length would keep GDAL busy for ever.
+    """
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         if file.read(8) != _FIRST:
@@ -41,7 +43,7 @@ def fault_before(path: str) -> str | None:
                 if not outer and not begin <= at + length <= end:
                     return f"Its box {kind.decode('latin-1')!r} at byte {at:,} has an impossible length."
                 if not begin <= at + length <= end:
-                    break  # it is cut short, which is found when it is open
+                    break  # cut short; the check of the open file finds this
                 if kind in _NESTS:
                     waiting.append((begin, at + length, False))
                 at += length
@@ -49,7 +51,7 @@ def fault_before(path: str) -> str | None:
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a JPEG 2000 file, as a sentence; None if nothing is."""
+    """The fault of a JPEG 2000 file, as a sentence; None if there is none."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         if file.read(4) == b"\xff\x4f\xff\x51":
@@ -72,7 +74,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def nitf(dataset: Any, path: str) -> str | None:
-    """What is wrong with the JPEG 2000 codestream in a NITF file, a sentence; None: nothing, or there is none."""
+    """The fault in a NITF file's JPEG 2000 codestream, as a sentence; None if there is no fault or no codestream."""
     if dataset.tags(ns="IMAGE_STRUCTURE").get("COMPRESSION") != "JPEG2000":
         return None
     size = Path(path).stat().st_size
@@ -82,7 +84,7 @@ def nitf(dataset: Any, path: str) -> str | None:
 
 
 def stream_fault(file: IO[bytes], begin: int, end: int) -> str | None:
-    """What is wrong with the codestream between two bytes of a file, as a sentence; None if nothing is."""
+    """The fault in the codestream between two bytes of a file, as a sentence; None if there is none."""
     file.seek(begin + 2)
     tiles, lost = 0, "Its codestream is truncated or damaged"
     while True:

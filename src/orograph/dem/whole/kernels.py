@@ -1,4 +1,4 @@
-"""Compiled passes over the bytes of files: tokens of text, and how much compressed blocks make."""
+"""Compiled passes over the bytes of files: tokens of text, and the decoded length of compressed blocks."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ def run_lengths(data, runs):
 
 @kernel
 def lzw_length(data, most):
-    """How many bytes an LZW stream of TIFF 6.0 (section 13) makes, and whether it ends as one does.
+    """How many bytes an LZW stream of TIFF 6.0 (section 13) makes, and whether it ends correctly.
 
-    It ends with its code for that, or, as some write it, with its last byte.
+    It ends with its end code or, as some writers do it, with its last byte.
 
     Args:
         data: bytes of the stream.
-        most: bytes it may make; it is read no further than a little beyond.
+        most: maximum bytes to decode; reading stops shortly after that.
 
     Returns:
-        Bytes made (-1: there is a code that cannot be), and whether the stream ends there.
+        Decoded bytes (-1: there is an impossible code), and whether the stream ends there.
     """
     lengths = np.empty(4096, np.int64)
     for i in range(256):
@@ -79,7 +79,7 @@ def lzw_length(data, most):
 def packed_length(data, most):
     """How many bytes PackBits (TIFF 6.0, section 9) make; -1 if a run does not end within them.
 
-    What follows when ``most`` bytes are made must be no-operations or zeros.
+    After ``most`` bytes, only no-operations or zeros may follow.
     """
     made = at = np.int64(0)
     while at < data.size:
@@ -101,20 +101,20 @@ def packed_length(data, most):
 
 @kernel
 def scan(data, parting, comma, state):
-    """Go through whitespace-separated tokens to the first that is no number, or to the end.
+    """Go through whitespace-separated tokens up to the first that is not a number, or to the end.
 
-    A number is a sign or none, digits with at most one point, and perhaps an exponent; or "nan" in letters of any size.
+    A number is an optional sign, digits with at most one point, and an optional exponent; or "nan" in any case.
 
     Args:
         data: bytes of text; a token that reaches their end is taken to end there.
-        parting: a byte that parts tokens as white space does; 0: none.
+        parting: a byte that separates tokens like white space; 0: none.
         comma: whether numbers may have a decimal comma.
-        state: (7,) int64, carried from piece to piece: where to begin; tokens, and lines, before; where this line
+        state: (7,) int64, carried from piece to piece: where to begin; tokens and lines so far; where this line
             began, from ``data``'s start; decimal commas that might part thousands, and those that cannot; the line of
             the first that might.
 
     Returns:
-        Where the first token that is no number begins, and where it ends; −1 if there is none.
+        Where the first token that is not a number begins and ends; −1 if there is none.
     """
     at, tokens, line, begun, doubtful, certain, doubt_line = state
     size = data.size
@@ -173,7 +173,7 @@ def _number(data, at, comma):
 
 @kernel
 def _parts(c, parting):
-    """Whether a byte parts tokens: white space, the end mark of DOS, or ``parting``."""
+    """Whether a byte separates tokens: white space, the end mark of DOS, or ``parting``."""
     return c == 32 or 9 <= c <= 13 or c == 26 or (c == parting and parting != 0)
 
 

@@ -1,7 +1,7 @@
-"""MRF: each tile of the raster lies in the file of tiles, and decodes to as many bytes as a tile has.
+"""MRF: each tile of the raster lies in the tile file, and decodes to the size of a tile.
 
-A tile that does not decode is uninitialised memory to GDAL, one that is not listed is 0. The index (.idx) lists the
-offset and size of each tile, in the order of rows; Deflate has its own checksum.
+For GDAL, a tile that does not decode is uninitialised memory, and one that is not listed is 0. The index (.idx) lists
+the offset and size of each tile, row by row; Deflate has its own checksum.
 
 Source: the MRF specification (NASA GIBS), as GDAL's frmts/mrf documents it.
 """
@@ -26,7 +26,7 @@ _ENDINGS = {
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with an MRF, as a sentence; None if nothing is."""
+    """The fault of an MRF, as a sentence; None if there is none."""
     root = ET.fromstring(Path(path).read_bytes())
     raster = root.find("Raster")
     if raster is None:
@@ -62,7 +62,7 @@ def _shape(raster: ET.Element, name: str, else_: tuple[int, int, int]) -> tuple[
 
 
 def _beside(path: str, name: str | None, ending: str) -> Path | None:
-    """A file that the header names, or that is called after it."""
+    """A file that the header names, or a companion of the same name."""
     file = Path(path).with_suffix(ending) if name is None or not name.strip() else Path(path).parent / name.strip()
     return file if file.is_file() else None
 
@@ -78,8 +78,10 @@ def _extent_fault(root: ET.Element) -> str | None:
 def _tiles_fault(
     tiles: Path, listed: list[tuple[int, int]], count: int, codec: str, shape: tuple[int, int, int]
 ) -> str | None:
-    """What is wrong with the tiles, given offset and size of each, of how many the raster itself is made, and the
-    columns, rows and bytes of one."""
+    """The fault in the tiles; None if there is none.
+
+    Takes the offset and size of each, how many the raster itself has, and a tile's columns, rows and bytes.
+    """
     wide, high, wanted = shape
     size = tiles.stat().st_size
     there = [(at, length) for at, length in listed if length]
@@ -102,7 +104,7 @@ def _tiles_fault(
 
 
 def _decodes(data: bytes, codec: str, wide: int, high: int, wanted: int) -> bool:
-    """Whether a tile has the size that it must, as far as its codec says."""
+    """Whether a tile has the required size, as far as its codec tells."""
     if codec in ("DEFLATE", "ZSTD"):
         return _length(data, codec) == wanted
     if codec in ("PNG", "PPNG"):
@@ -113,7 +115,7 @@ def _decodes(data: bytes, codec: str, wide: int, high: int, wanted: int) -> bool
 
 
 def _length(data: bytes, codec: str) -> int:
-    """How many bytes a tile decodes to; -1 if it does not."""
+    """The decoded bytes of a tile; -1 if it does not decode."""
     if codec == "ZSTD":
         from orograph._blosc import zstandard
 

@@ -14,8 +14,10 @@ _STREAMING = 0xFFFFFFFF
 
 
 def fault_before(path: str) -> str | None:
-    """What is wrong with the header of a classic file that GDAL has not opened yet: numbers in it that cannot be make
-    the library ask for memory for many seconds. None: nothing, or it is none."""
+    """The fault in the header of a classic file that GDAL has not opened yet; None if there is none.
+
+    Impossible numbers there make the library request memory for many seconds. Other formats have no fault here.
+    """
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         magic = file.read(4)
@@ -29,7 +31,7 @@ def fault_before(path: str) -> str | None:
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a netCDF file, as a sentence; None if nothing is."""
+    """The fault of a netCDF file, as a sentence; None if there is none."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         magic = file.read(4)
@@ -51,7 +53,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 class _Header:
-    """Reads the header of a classic file from its fifth byte on."""
+    """Reads the header of a classic file from its fifth byte."""
 
     def __init__(self, file: BinaryIO, version: int, size: int) -> None:
         self.file = file
@@ -59,7 +61,7 @@ class _Header:
         self.count = ">q" if version == 5 else ">I"
         self.offset = ">I" if version == 1 else ">q"
         self.streaming = False
-        self.filled = 0  # where the last variable without records ends, filled up to four bytes
+        self.filled = 0  # where the last variable without records ends, padded to four bytes
 
     def end(self) -> int:
         """The byte at which the last variable ends."""
@@ -102,7 +104,7 @@ class _Header:
         self._skip(-(-self._number(self.count) // 4) * 4)
 
     def _skip(self, size: int) -> None:
-        """Pass over some bytes of the header."""
+        """Skip some bytes of the header."""
         if not 0 <= size <= self.size:
             raise ValueError("beyond the end")
         self.file.seek(size, 1)

@@ -1,4 +1,4 @@
-"""PCIDSK: whether the file, and the files that hold its channels, are as long as the header says."""
+"""PCIDSK: the file, and the files that hold its channels, are as long as the header says."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from orograph.dem.whole.sizes import exact
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """PCIDSK: the header's second field says how many blocks of 512 bytes the file has; channels may lie beside it."""
+    """The fault of a PCIDSK file, whose header states its length in blocks of 512 bytes; channels may be elsewhere."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         blocks = file.read(32)[16:32].decode("latin-1").strip()
@@ -20,9 +20,9 @@ def fault(dataset: Any, path: str) -> str | None:
     if not blocks.isdigit():
         return "Its header does not declare its length."
     if kind == b"FILE":
-        said = _channels_fault(dataset, path)
-        if said is not None:
-            return said
+        broken = _channels_fault(dataset, path)
+        if broken is not None:
+            return broken
     wanted = int(blocks) * 512
     if size % 512 and (size > wanted or _whole_blocks(dataset, path)):
         return f"It has {size:,} bytes where its header promises {wanted:,}: one of the two is damaged."
@@ -32,7 +32,7 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def _whole_blocks(dataset: Any, path: str) -> bool:
-    """Whether the samples of a PCIDSK file lie in tiles that are not compressed and of whole blocks of 512 bytes."""
+    """Whether a PCIDSK file's samples lie in uncompressed tiles of whole blocks of 512 bytes."""
     rows, cols = dataset.block_shapes[0]
     whole = all(rows * cols * np.dtype(kind).itemsize % 512 == 0 for kind in dataset.dtypes)
     with Path(path).open("rb") as file:
@@ -41,20 +41,20 @@ def _whole_blocks(dataset: Any, path: str) -> bool:
 
 
 def _channels_fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with the files that hold a PCIDSK file's channels (image headers: name, first byte, steps)."""
+    """The fault in the files of a PCIDSK file's channels (image headers: name, first byte, steps)."""
     with Path(path).open("rb") as file:
         head = file.read(512)
         at = (int(head[336:352]) - 1) * 512
         for band in range(dataset.count):
             file.seek(at + 1024 * band)
-            said = file.read(1024)
-            name = said[64:128].decode("latin-1").strip()
+            header = file.read(1024)
+            name = header[64:128].decode("latin-1").strip()
             channel = Path(path).with_name(Path(name).name)
             if not name or name.startswith("/SIS=") or not channel.is_file():
                 continue
-            first, pixel, line = int(said[168:184]), int(said[184:192]), int(said[192:200])
+            first, pixel, line = int(header[168:184]), int(header[184:192]), int(header[192:200])
             item = np.dtype(dataset.dtypes[band]).itemsize
-            if pixel < item or line < pixel * dataset.width or said[201:202] not in b"NS":
+            if pixel < item or line < pixel * dataset.width or header[201:202] not in b"NS":
                 return f"Its header contradicts itself about channel {band + 1}."
             short = exact(channel, first + (dataset.height - 1) * line + (dataset.width - 1) * pixel + item)
             if short is not None:
@@ -63,6 +63,6 @@ def _channels_fault(dataset: Any, path: str) -> str | None:
 
 
 def _tiled(path: str) -> bool:
-    """Whether the samples of a PCIDSK file lie in a block system, whose segment is extended ahead of what it holds."""
+    """Whether a PCIDSK file's samples lie in a block system, whose segment is longer than its content."""
     with Path(path).open("rb") as file:
         return b"Block Tile Directory" in file.read(1 << 20)

@@ -1,4 +1,4 @@
-"""PNG: every chunk is there and has its checksum, and the image data inflate to as many bytes as the header says.
+"""PNG: every chunk is there with a correct checksum, and the image data inflate to the size in the header.
 
 Source: Portable Network Graphics (W3C Recommendation, third edition), sections 5 (chunks), 8 (interlacing), 10 (zlib).
 """
@@ -17,13 +17,13 @@ _PASSES = ((0, 0, 8, 8), (4, 0, 8, 8), (0, 4, 4, 8), (2, 0, 4, 4), (0, 2, 2, 4),
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a PNG file, as a sentence; None if nothing is."""
+    """The fault of a PNG file, as a sentence; None if there is none."""
     with Path(path).open("rb") as file:
         return _fault(file)
 
 
 def bytes_fault(data: bytes) -> str | None:
-    """The same of a PNG's bytes."""
+    """The fault in a PNG's bytes, as a sentence; None if there is none."""
     return _fault(BytesIO(data))
 
 
@@ -56,7 +56,7 @@ def _fault(file: IO[bytes]) -> str | None:
 
 
 def _inflated(inflate: Any, data: bytes) -> int:
-    """How many bytes come of this piece of the stream, without holding them all."""
+    """The inflated size of a piece of the stream, without keeping the data."""
     size = 0
     while data:
         size += len(inflate.decompress(data, 1 << 20))

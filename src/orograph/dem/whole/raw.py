@@ -1,4 +1,4 @@
-"""Further formats whose files say in their headers, or by their parts, how long they are.
+"""Further formats whose headers or parts state their length.
 
 Sources: Erdas' raw format (EIR), the headers of GenBin, ISIS 2, PDS 3 and ROI_PAC, Netpbm's PNM, Panorama's RMF, SGI's
 FIT, WebP's container (RFC 9649), GIF 89a, XPM 3.
@@ -24,14 +24,14 @@ def _samples(dataset: Any) -> int:
 
 
 def eir(dataset: Any, path: str) -> str | None:
-    """EIR: the samples lie in a file that the header names, behind an offset."""
-    said = {key.upper(): value for key, value in pairs(Path(path).read_text("latin-1"), None)}
-    beside = Path(path).with_name(said.get("PIXEL_FILES", Path(path).stem))
-    return exact(beside, int(said.get("DATA_OFFSET", "0")) + _samples(dataset))
+    """EIR: the samples are in a file that the header names, after an offset."""
+    header = {key.upper(): value for key, value in pairs(Path(path).read_text("latin-1"), None)}
+    beside = Path(path).with_name(header.get("PIXEL_FILES", Path(path).stem))
+    return exact(beside, int(header.get("DATA_OFFSET", "0")) + _samples(dataset))
 
 
 def roi_pac(dataset: Any, path: str) -> str | None:
-    """ROI_PAC: samples and nothing else; a file of two bands may lack none of them, either."""
+    """ROI_PAC: only samples; a file of two bands must have both."""
     return exact(path, _samples(dataset))
 
 
@@ -50,7 +50,7 @@ def rmf(dataset: Any, path: str) -> str | None:
 
 
 def fit(dataset: Any, path: str) -> str | None:
-    """FIT: pages of samples behind an offset that the header says, the last of which must be full to be read."""
+    """FIT: pages of samples after an offset in the header; the last page must be complete to be read."""
     high, wide = dataset.block_shapes[0]
     if dataset.height % high or dataset.width % wide:
         return "Its last page is not full, which GDAL misreads."
@@ -60,17 +60,17 @@ def fit(dataset: Any, path: str) -> str | None:
 
 
 def landscape(dataset: Any, path: str) -> str | None:
-    """LCP: a header of 7316 bytes, then whole numbers of 16 bits, all bands of a sample together."""
+    """LCP: a header of 7316 bytes, then 16-bit integers, with all bands of a sample together."""
     return exact(path, 7316 + 2 * dataset.count * dataset.width * dataset.height)
 
 
 def geoid(dataset: Any, path: str) -> str | None:
-    """NGSGEOID: a header of 44 bytes, then numbers of 32 bits."""
+    """NGSGEOID: a header of 44 bytes, then 32-bit numbers."""
     return exact(path, 44 + 4 * dataset.width * dataset.height)
 
 
 def leveller(dataset: Any, path: str) -> str | None:
-    """Leveller: parts, each with its name and length, which end with the file; one of them is all samples."""
+    """Leveller: parts with a name and a length, up to the end of the file; one of them holds all samples."""
     size, at, samples = Path(path).stat().st_size, 5, 4 * dataset.width * dataset.height
     found = None
     with Path(path).open("rb") as file:
@@ -88,14 +88,14 @@ def leveller(dataset: Any, path: str) -> str | None:
 
 
 def webp(dataset: Any, path: str) -> str | None:
-    """WebP: the container says how long it is."""
+    """WebP: the container states its length."""
     with Path(path).open("rb") as file:
         head = file.read(12)
     return exact(path, 8 + int.from_bytes(head[4:8], "little")) if head[:4] == b"RIFF" else None
 
 
 def gif(dataset: Any, path: str) -> str | None:
-    """GIF: its blocks follow one another to its mark of the end, with which the file ends."""
+    """GIF: consecutive blocks up to the end marker, with which the file ends."""
     data = Path(path).read_bytes()
     table = 3 << ((data[10] & 7) + 1) if data[10] & 128 else 0
     at = 13 + table
@@ -119,7 +119,7 @@ _QUOTED = re.compile(rb'"([^"\n]*)"')
 
 
 def xpm(dataset: Any, path: str) -> str | None:
-    """XPM: a text for the size, one for each colour, and one for each row, of as many characters as it has."""
+    """XPM: strings for the size, each colour, and each row, with one code per sample."""
     texts = _QUOTED.findall(Path(path).read_bytes())
     if not texts or len(texts[0].split()) < 4:
         return "Its header cannot be parsed."
@@ -140,7 +140,7 @@ _SAMPLE_TYPES = {
 
 
 def pds3(dataset: Any, path: str) -> str | None:
-    """PDS 3: the label says of how many records the file of the samples is made."""
+    """PDS 3: the label states the number of records in the sample file."""
     text = _label(path)
     kind = re.search(r"^[ \t]*SAMPLE_TYPE[ \t]*=[ \t]*\"?(\w*)", text, re.M)
     if kind is not None and kind[1].upper() not in _SAMPLE_TYPES:
@@ -156,7 +156,7 @@ def pds3(dataset: Any, path: str) -> str | None:
 
 
 def isis2(dataset: Any, path: str) -> str | None:
-    """ISIS 2: the label says of how many records the file is made."""
+    """ISIS 2: the label states the number of records in the file."""
     text = _label(path)
     pointer = re.search(r"^\^QUBE" + _NUMBER, text, re.M)
     return None if pointer is None else _records_fault(Path(path), text, int(pointer[1]), _samples(dataset))
@@ -168,7 +168,7 @@ def _label(path: str) -> str:
 
 
 def _records_fault(data: Path, text: str, first: int, samples: int) -> str | None:
-    """What is wrong with the size of a file of records, given the one at which samples begin, and their bytes."""
+    """The fault in the size of a file of records, given the record of the first sample and the samples' bytes."""
     size, count = (re.search(rf"^[ \t]*{key}{_NUMBER}", text, re.M) for key in ("RECORD_BYTES", "FILE_RECORDS"))
     if size is None:
         return None

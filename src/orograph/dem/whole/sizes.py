@@ -1,7 +1,7 @@
-"""Formats of raw samples whose drivers do not compare the file's size with what its header promises.
+"""Formats of raw samples whose drivers do not compare the file's size with its header.
 
-A file that is shorter lacks samples; one that is longer has bytes that were inserted, or a header that promises too
-little. Zeros that fill a last block of 128 bytes are no fault: that is how records are padded.
+A shorter file lacks samples; a longer one has inserted bytes, or a header that promises too little. Zeros that pad the
+last block of 128 bytes are no fault: that is how records are padded.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from orograph.errors import ReadError
 
 _BLOCK = 128
 _TAIL = 1 << 16
-_CHUNKS = 1 << 16  # of a Zarr, that are looked for
+_CHUNKS = 1 << 16  # of a Zarr, that are checked
 
 
 def exact(path: str | Path, wanted: int) -> str | None:
-    """What is wrong with the size of a file that should have ``wanted`` bytes, as a sentence; None if nothing is."""
+    """The fault in the size of a file that should have ``wanted`` bytes, as a sentence; None if there is none."""
     file = Path(path)
     if not file.is_file():
         return f"Its file {file.name} is missing."
@@ -40,7 +40,7 @@ def exact(path: str | Path, wanted: int) -> str | None:
 
 
 def _any(file: Path, begin: int) -> bool:
-    """Whether a file has anything but zeros from a byte on."""
+    """Whether a file has any nonzero byte from an offset on."""
     with file.open("rb") as opened:
         opened.seek(max(begin, file.stat().st_size - _TAIL))
         return any(opened.read())
@@ -51,12 +51,12 @@ def _samples(dataset: Any) -> int:
 
 
 def behind(begin: int) -> Callable[[Any, str], str | None]:
-    """The check of formats whose samples fill their file from a byte on."""
+    """The check for formats whose samples fill their file from an offset on."""
     return lambda dataset, path: exact(path, begin + _samples(dataset))
 
 
 def beside(*endings: str) -> Callable[[Any, str], str | None]:
-    """The check of formats whose samples fill a file of one of these endings ("": none), beside the header."""
+    """The check for formats whose samples fill a companion file with one of these endings ("": none)."""
 
     def check(dataset: Any, path: str) -> str | None:
         stem = Path(path).with_suffix("")
@@ -68,7 +68,7 @@ def beside(*endings: str) -> Callable[[Any, str], str | None]:
 
 
 def terrain(dataset: Any, path: str) -> str | None:
-    """BT: a header of 256 bytes, which says whether the CRS lies in a file beside it (.prj), then all samples."""
+    """BT: a header of 256 bytes, which says whether the CRS is in a companion file (.prj), then all samples."""
     with Path(path).open("rb") as file:
         head = file.read(256)
     beside_it = Path(path).with_suffix(".prj")
@@ -78,7 +78,7 @@ def terrain(dataset: Any, path: str) -> str | None:
 
 
 def sigdem(dataset: Any, path: str) -> str | None:
-    """SIGDEM: a header of 132 bytes, which says twice where it lies, then whole numbers of 32 bits."""
+    """SIGDEM: a header of 132 bytes, which states its place twice, then 32-bit integers."""
     with Path(path).open("rb") as file:
         head = file.read(132)
     factor, west, south, low, east, north, high = struct.unpack_from(">7d", head, 52)
@@ -94,7 +94,7 @@ def sigdem(dataset: Any, path: str) -> str | None:
 
 
 def _beyond(dataset: Any, low: float, high: float, rounding: float) -> str | None:
-    """Heights beyond the extremes that a header says."""
+    """Heights beyond the extremes in the header."""
     if not low < high:
         return None
     for _, window in dataset.block_windows(1):
@@ -116,41 +116,41 @@ def envi(dataset: Any, path: str) -> str | None:
 
 
 def ehdr(dataset: Any, path: str) -> str | None:
-    """ESRI .hdr: bytes to skip, then rows, each band's or each row's rounded up to whole bytes."""
+    """ESRI .hdr: bytes to skip, then rows, padded to whole bytes per band or per row."""
     header = next((p for e in (".hdr", ".HDR") if (p := Path(path).with_suffix(e)).is_file()), None)
     if header is None:
         return None
-    said = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
-    if fault := _row_fault(said, dataset.width, dataset.count) or kind_fault(dataset, said):
+    fields = {key.upper(): value for key, value in pairs(header.read_text("latin-1"), None)}
+    if fault := _row_fault(fields, dataset.width, dataset.count) or kind_fault(dataset, fields):
         return fault
-    bits = int(said.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
+    bits = int(fields.get("NBITS", 8 * np.dtype(dataset.dtypes[0]).itemsize))
     rows, bands = dataset.height, dataset.count
-    layout = said.get("LAYOUT", "BIL").upper()
+    layout = fields.get("LAYOUT", "BIL").upper()
     line = -(-dataset.width * bits // 8)
-    skip = int(said.get("SKIPBYTES", 0))
+    skip = int(fields.get("SKIPBYTES", 0))
     if layout == "BSQ":
-        return exact(path, skip + bands * rows * line + (bands - 1) * int(said.get("BANDGAPBYTES", 0)))
+        return exact(path, skip + bands * rows * line + (bands - 1) * int(fields.get("BANDGAPBYTES", 0)))
     if layout == "BIP":
         line = -(-dataset.width * bits * bands // 8)
-        return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
-    line = bands * int(said.get("BANDROWBYTES", line))
-    return exact(path, skip + rows * max(line, int(said.get("TOTALROWBYTES", line))))
+        return exact(path, skip + rows * max(line, int(fields.get("TOTALROWBYTES", line))))
+    line = bands * int(fields.get("BANDROWBYTES", line))
+    return exact(path, skip + rows * max(line, int(fields.get("TOTALROWBYTES", line))))
 
 
-def _row_fault(said: dict[str, str], cols: int, bands: int) -> str | None:
-    """Rows are of as many bytes as their samples need: GDAL reads padded ones as if they were not."""
-    needed = -(-cols * int(said.get("NBITS", 8)) // 8)
+def _row_fault(fields: dict[str, str], cols: int, bands: int) -> str | None:
+    """Rows are as long as their samples: GDAL reads padded rows as if they were not."""
+    needed = -(-cols * int(fields.get("NBITS", 8)) // 8)
     for key, sizes in (("BANDROWBYTES", (needed,)), ("TOTALROWBYTES", (needed, needed * bands))):
-        if key in said and int(said[key]) not in sizes:
+        if key in fields and int(fields[key]) not in sizes:
             return (
-                f"Its header says {key!r} is {said[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
+                f"Its header says {key!r} is {fields[key]} where {cols} samples of its 'NBITS' need {needed}: it is "
                 "damaged, or its rows are padded, which GDAL misreads."
             )
     return None
 
 
 def ers(dataset: Any, path: str) -> str | None:
-    """ERS: the samples lie in the file that the header is called after, behind an offset."""
+    """ERS: the samples are in the file that the header is named after, after an offset."""
     text = Path(path).read_text("latin-1")
     data = Path(path).with_suffix("")
     offset = re.search(r"^\s*HeaderOffset\s*=\s*(\d+)", text, re.M)
@@ -160,16 +160,16 @@ def ers(dataset: Any, path: str) -> str | None:
 
 
 def saga(dataset: Any, path: str) -> str | None:
-    """SAGA: the samples behind an offset that the header (.sgrd) says."""
-    said = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
-    return exact(path, int(said.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
+    """SAGA: the samples follow an offset in the header (.sgrd)."""
+    fields = dict(pairs(Path(path).with_suffix(".sgrd").read_text("latin-1"), "="))
+    return exact(path, int(fields.get("DATAFILE_OFFSET", "0") or 0) + _samples(dataset))
 
 
 _CHANNEL = re.compile(r"(8U|16U|16S|32U|32S|32R|64R|C16U|C16S|C32R)\s+\d+\s+\d+\s+\d+(\s+(Swapped|Unswapped))?\s*")
 
 
 def paux(dataset: Any, path: str) -> str | None:
-    """PCI .aux: each channel's first byte, and the steps from sample to sample and from row to row."""
+    """PCI .aux: each channel's first byte, and the steps between samples and between rows."""
     end = 0
     for key, value in pairs(Path(path).with_suffix(".aux").read_text("latin-1"), ":"):
         if key.startswith("ChanDefinition"):
@@ -183,7 +183,7 @@ def paux(dataset: Any, path: str) -> str | None:
 
 
 def mff(dataset: Any, path: str) -> str | None:
-    """MFF: one file for each band, .b00 and so on after its type."""
+    """MFF: one file for each band, numbered by its ending after a letter for its type (.b00…)."""
     for file in sorted(Path(path).parent.glob(f"{Path(path).stem}.*")):
         if re.fullmatch(r"\.[bijrx]\d\d", file.suffix.lower()) and (fault := exact(file, _band_bytes(dataset))):
             return fault
@@ -195,7 +195,7 @@ def _band_bytes(dataset: Any) -> int:
 
 
 def surfer7(dataset: Any, path: str) -> str | None:
-    """Surfer 7: sections, each with its length; that of the samples holds them all."""
+    """Surfer 7: sections with their lengths; one of them holds all samples."""
     size = Path(path).stat().st_size
     at, found = 0, False
     with Path(path).open("rb") as file:
@@ -215,7 +215,7 @@ def surfer7(dataset: Any, path: str) -> str | None:
 
 
 def ntv2(dataset: Any, path: str) -> str | None:
-    """NTv2: a header of 11 records, then each grid of 11 records and one for each of its points, then an end record."""
+    """NTv2: a header of 11 records; for each grid, 11 records and one for each of its points; an end record."""
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         head = file.read(176)
@@ -243,7 +243,7 @@ def ntv2(dataset: Any, path: str) -> str | None:
 
 
 def pcraster(dataset: Any, path: str) -> str | None:
-    """PCRaster: a header of 256 bytes, then all samples; then perhaps a table of attributes (CSF, version 2)."""
+    """PCRaster: a header of 256 bytes, all samples, and perhaps a table of attributes (CSF, version 2)."""
     wanted = 256 + _samples(dataset)
     with Path(path).open("rb") as file:
         head = file.read(256)
@@ -264,35 +264,35 @@ def pcraster(dataset: Any, path: str) -> str | None:
 
 
 def nitf(dataset: Any, path: str) -> str | None:
-    """NITF: the header says how long the file is (MIL-STD-2500C, field FL)."""
+    """NITF: the header states the length of the file (MIL-STD-2500C, field FL)."""
     with Path(path).open("rb") as file:
         head = file.read(360)
     at = {b"NITF02.10": 342, b"NSIF01.00": 342, b"NITF02.00": 342}.get(head[:9])
-    said = b"" if at is None else head[at : at + 12]
-    if at is None or (head[:9] == b"NITF02.00" and not said.isdigit()) or said == b"9" * 12:
+    length = b"" if at is None else head[at : at + 12]
+    if at is None or (head[:9] == b"NITF02.00" and not length.isdigit()) or length == b"9" * 12:
         return None
-    if not said.isdigit():
+    if not length.isdigit():
         return "Its header does not declare its length."
-    return exact(path, int(said))
+    return exact(path, int(length))
 
 
 def bmp(dataset: Any, path: str) -> str | None:
-    """BMP: the header says how long the file is, or 0."""
+    """BMP: the header states the length of the file, or 0."""
     with Path(path).open("rb") as file:
         head = file.read(14)
-    (said,) = struct.unpack_from("<I", head, 2)
-    return exact(path, said) if said else None
+    (length,) = struct.unpack_from("<I", head, 2)
+    return exact(path, length) if length else None
 
 
 def elas(dataset: Any, path: str) -> str | None:
-    """ELAS: the header says how many bytes it has itself, and how many a record, of which each row has one."""
+    """ELAS: the header states its own length, and that of a record, of which each row has one."""
     with Path(path).open("rb") as file:
         header, record = struct.unpack(">2I", file.read(8))
     return exact(path, header + record * dataset.height)
 
 
 def rdata(dataset: Any, path: str) -> str | None:
-    """R's data: a file of gzip, whose checksum GDAL leaves unread."""
+    """R's data: a gzip file, whose checksum GDAL does not read."""
     with Path(path).open("rb") as file:
         if file.read(2) != b"\x1f\x8b":
             return None
@@ -306,34 +306,36 @@ def rdata(dataset: Any, path: str) -> str | None:
 
 
 def zarr(dataset: Any, path: str) -> str | None:
-    """Zarr, version 2: chunks that are not compressed have the size that they must; all are there if nothing says what
-    those are that are not."""
+    """Zarr, version 2: uncompressed chunks have the right size.
+
+    All chunks must exist if there is no fill value for absent ones.
+    """
     header = next((p for name in dataset.files if (p := Path(str(name))).name == ".zarray" and p.is_file()), None)
     if header is None:
         return _zarr3(dataset)
-    said = json.loads(header.read_bytes())
-    counts = [-(-size // chunk) for size, chunk in zip(said["shape"], said["chunks"], strict=True)]
-    wanted = math.prod(said["chunks"]) * np.dtype(said["dtype"]).itemsize
+    meta = json.loads(header.read_bytes())
+    counts = [-(-size // chunk) for size, chunk in zip(meta["shape"], meta["chunks"], strict=True)]
+    wanted = math.prod(meta["chunks"]) * np.dtype(meta["dtype"]).itemsize
     if math.prod(counts) > _CHUNKS:
         return None
     for index in np.ndindex(*counts):
-        chunk = header.parent / said.get("dimension_separator", ".").join(map(str, index))
+        chunk = header.parent / meta.get("dimension_separator", ".").join(map(str, index))
         if not chunk.is_file():
-            if said.get("fill_value") is None:
+            if meta.get("fill_value") is None:
                 return f"Its chunk {chunk.name} is missing, and no fill value is declared for it."
-        elif said.get("compressor") is None and not said.get("filters") and chunk.stat().st_size != wanted:
+        elif meta.get("compressor") is None and not meta.get("filters") and chunk.stat().st_size != wanted:
             return f"Its chunk {chunk.name} has {chunk.stat().st_size:,} bytes, not {wanted:,}."
     return None
 
 
 def _zarr3(dataset: Any) -> str | None:
-    """Zarr, version 3: chunks that are plain bytes have the size that they must."""
+    """Zarr, version 3: chunks of plain bytes have the right size."""
     for header in (Path(str(file)) for file in dataset.files):
-        said = json.loads(header.read_bytes()) if header.name == "zarr.json" and header.is_file() else {}
-        shape = said.get("chunk_grid", {}).get("configuration", {}).get("chunk_shape")
-        if shape is None or [codec.get("name") for codec in said.get("codecs", ())] not in ([], ["bytes"], ["endian"]):
+        meta = json.loads(header.read_bytes()) if header.name == "zarr.json" and header.is_file() else {}
+        shape = meta.get("chunk_grid", {}).get("configuration", {}).get("chunk_shape")
+        if shape is None or [codec.get("name") for codec in meta.get("codecs", ())] not in ([], ["bytes"], ["endian"]):
             continue
-        wanted = math.prod(shape) * np.dtype(said["data_type"]).itemsize
+        wanted = math.prod(shape) * np.dtype(meta["data_type"]).itemsize
         for chunk in sorted((header.parent / "c").rglob("*"))[:_CHUNKS]:
             if chunk.is_file() and chunk.stat().st_size != wanted:
                 return (
@@ -343,7 +345,7 @@ def _zarr3(dataset: Any) -> str | None:
 
 
 def terragen(dataset: Any, path: str) -> str | None:
-    """Terragen: the last section holds two numbers and the samples, and a mark may follow."""
+    """Terragen: the last section holds two numbers and the samples; an end marker may follow."""
     with Path(path).open("rb") as file:
         at = file.read(1024).find(b"ALTW")
         end = at + 8 + 2 * dataset.width * dataset.height

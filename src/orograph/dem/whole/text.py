@@ -1,7 +1,7 @@
-"""Elevation as text: every number is one, and there are as many as the header promises.
+"""Elevation as text: every token is a number, and there are as many as the header promises.
 
-GDAL takes for a number what a text begins with: ``abc``, ``--`` and ``0x10`` are 0 to it, ``1,234.5`` is 1.234, and a
-number that is not there is 0. The bytes are gone through once, in pieces, by a compiled pass.
+GDAL reads the number that a token begins with: ``abc``, ``--`` and ``0x10`` become 0, ``1,234.5`` becomes 1.234, and a
+missing number 0. A compiled pass goes through the bytes once, in pieces.
 
 Formats: Arc/Info and GRASS ASCII grids, Surfer ASCII grids (DSAA), columns of x, y and height.
 """
@@ -24,8 +24,8 @@ REMEDY = "Rewrite it with plain numbers such as -1234.5, and missing heights as 
 _PIECE = 8 << 20
 _HEADER = 16384
 _TAIL = 4096
-_ENOUGH = 20  # numbers that tell how many decimals they have
-_LONGEST = 64  # bytes of a token that are shown
+_ENOUGH = 20  # numbers to learn the number of decimals from
+_LONGEST = 64  # bytes of a token that a message shows
 _ARC = re.compile(
     rb"\s*(?:(?:ncols|nrows|xllcorner|yllcorner|xllcenter|yllcenter|cellsize|dx|dy|nodata_value)\s+\S+\s+)+", re.I
 )
@@ -37,11 +37,13 @@ _ZMAP = re.compile(rb"(?:![^\n]*\n)*@[^\n]*\n[ \t]*(\d+)[^@]*?\n@[ \t]*\r?\n")
 _TITLES = re.compile(rb"[^\n]*[A-Za-z][^\n]*\n")
 _FIELDS = re.compile(rb"[\s,;]+")
 _NEGATIVE = re.compile(rb"\s*[^\s,;]+[\s,;]+[^\s,;]+[\s,;]+-[0-9.]*[1-9]")
-_KNOWN = re.compile(rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I)  # as C libraries write
+_KNOWN = re.compile(
+    rb"[+-]?(?:inf(?:inity)?|1\.#(?:inf|qnan|snan|ind)0*)\Z", re.I
+)  # as C libraries write NaN and infinity
 
 
 def arc(dataset: Any, path: str) -> str | None:
-    """What is wrong with an Arc/Info ASCII grid, as a sentence; None if nothing is."""
+    """The fault of an Arc/Info ASCII grid, as a sentence; None if there is none."""
     return (
         _header_fault(path, (b"xll", b"yll"))
         or _contradiction(path, _ARC, "nodata_value")
@@ -50,7 +52,7 @@ def arc(dataset: Any, path: str) -> str | None:
 
 
 def grass(dataset: Any, path: str) -> str | None:
-    """What is wrong with a GRASS ASCII grid, as a sentence; None if nothing is."""
+    """The fault of a GRASS ASCII grid, as a sentence; None if there is none."""
     sides = (b"north", b"south", b"east", b"west")
     return (
         _header_fault(path, sides) or _contradiction(path, _GRASS, "null") or _grid_fault(dataset, path, _GRASS, True)
@@ -58,12 +60,12 @@ def grass(dataset: Any, path: str) -> str | None:
 
 
 def surfer(dataset: Any, path: str) -> str | None:
-    """What is wrong with a Surfer ASCII grid, as a sentence; None if nothing is."""
+    """The fault of a Surfer ASCII grid, as a sentence; None if there is none."""
     return _grid_fault(dataset, path, _SURFER, False)
 
 
 def gxf(dataset: Any, path: str) -> str | None:
-    """What is wrong with a Grid eXchange File that is not compressed, as a sentence; None if nothing is."""
+    """The fault of an uncompressed Grid eXchange File, as a sentence; None if there is none."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
     if re.search(rb"^#GTYPE\s+[1-9]", head, re.M):
@@ -72,12 +74,12 @@ def gxf(dataset: Any, path: str) -> str | None:
 
 
 def isg(dataset: Any, path: str) -> str | None:
-    """What is wrong with the grid of a geoid model as text (ISG), as a sentence; None if nothing is."""
+    """The fault in the grid of a geoid model as text (ISG), as a sentence; None if there is none."""
     return _grid_fault(dataset, path, _ISG, False)
 
 
 def zmap(dataset: Any, path: str) -> str | None:
-    """What is wrong with a ZMap Plus grid, whose numbers stand in fields of one width; a sentence; None: nothing."""
+    """The fault of a ZMap Plus grid, whose numbers have fields of one width, as a sentence; None if there is none."""
     count = 0
     with Path(path).open("rb") as file:
         found = _ZMAP.match(file.read(_HEADER))
@@ -86,8 +88,8 @@ def zmap(dataset: Any, path: str) -> str | None:
         wide = int(found[1])
         file.seek(found.end())
         for number, line in enumerate(file):
-            said = line.rstrip()
-            for field in (said[at : at + wide] for at in range(0, len(said), wide)):
+            row = line.rstrip()
+            for field in (row[at : at + wide] for at in range(0, len(row), wide)):
                 if not _is_number(field):
                     return f"Line {number + 1} of its numbers: {field.strip().decode('latin-1')!r} is not a number."
                 count += 1
@@ -96,7 +98,7 @@ def zmap(dataset: Any, path: str) -> str | None:
 
 
 def r_numbers(dataset: Any, path: str) -> str | None:
-    """What is wrong with the numbers of R's data as text, one in each line, a sentence; None: nothing, or none are."""
+    """The fault in R's data as text, one number per line, as a sentence; None if there is none or no such data."""
     with Path(path).open("rb") as file:
         if file.read(7) != b"RDA2\nA\n":
             return None
@@ -121,7 +123,7 @@ def _is_number(token: bytes) -> bool:
 
 
 def points(dataset: Any, path: str) -> str | None:
-    """What is wrong with columns of x, y and height, as a sentence; None if nothing is."""
+    """The fault in columns of x, y and height, as a sentence; None if there is none."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
     titles = _TITLES.match(head)
@@ -143,7 +145,7 @@ def points(dataset: Any, path: str) -> str | None:
 
 
 def _gap_fault(dataset: Any, count: int) -> str | None:
-    """GDAL calls what is missing between points 0 or −32768; where heights reach that far, it is 0 and a height."""
+    """GDAL fills gaps between points with 0 or −32768; where heights reach that low, it is 0, which may be a height."""
     wanted = dataset.width * dataset.height
     if count >= wanted or dataset.nodatavals[0] is not None:
         return None
@@ -151,7 +153,7 @@ def _gap_fault(dataset: Any, count: int) -> str | None:
 
 
 def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
-    """GDAL rounds negative whole numbers of 16 bits upwards, by one, where points run along columns."""
+    """GDAL rounds negative 16-bit integers up by one where points run along columns."""
     if dataset.dtypes[0] != "int16":
         return None
     file.seek(start)
@@ -165,7 +167,7 @@ def _column_fault(dataset: Any, file: BinaryIO, start: int) -> str | None:
 
 
 def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
-    """A key without which GDAL would place the grid at 0."""
+    """A missing key, without which GDAL would place the grid at 0."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
     lacks = next((key.decode() for key in needed if not re.search(rb"^\s*" + key, head, re.I | re.M)), None)
@@ -173,27 +175,27 @@ def _header_fault(path: str, needed: tuple[bytes, ...]) -> str | None:
 
 
 def _contradiction(path: str, header: re.Pattern[bytes], missing: str) -> str | None:
-    """What a header says that GDAL passes over: a key twice, words for numbers, corners and centres, a factor.
+    """Faults of a header that GDAL ignores: a repeated key, words for numbers, corners and centres at once, a factor.
 
     Args:
-        missing: the key of the nodata value, which may be no number at all ("nan", "*").
+        missing: the key of the nodata value, which need not be a number ("nan", "*").
     """
     with Path(path).open("rb") as file:
-        found = header.match(file.read(_HEADER))
-    said = dict[str, str]()
-    for key, value in re.findall(r"([a-z_]+):?\s*(\S+)", "" if found is None else found[0].decode("latin-1").lower()):
-        if said.setdefault(key, value) != value:
-            return f"Its header says {key!r} twice: {said[key]} and {value}."
+        head = header.match(file.read(_HEADER))
+    found = dict[str, str]()
+    for key, value in re.findall(r"([a-z_]+):?\s*(\S+)", "" if head is None else head[0].decode("latin-1").lower()):
+        if found.setdefault(key, value) != value:
+            return f"Its header says {key!r} twice: {found[key]} and {value}."
         if key in ("north", "south", "east", "west") and ":" in value:
             return f"Its header says {key!r} in degrees and minutes ({value}), which GDAL reads as whole degrees."
         if key != "type" and not _is_number(value.replace(",", ".").encode()) and (key, value) != (missing, "*"):
             return f"Its header says {value!r} for {key!r}, which is not a number."
-    if {"xllcorner", "yllcenter"} <= set(said) or {"xllcenter", "yllcorner"} <= set(said):
+    if {"xllcorner", "yllcenter"} <= set(found) or {"xllcenter", "yllcorner"} <= set(found):
         return "Its header gives a corner along one axis and a centre along the other."
-    if {"xllcorner", "xllcenter"} <= set(said) or {"yllcorner", "yllcenter"} <= set(said):
+    if {"xllcorner", "xllcenter"} <= set(found) or {"yllcorner", "yllcenter"} <= set(found):
         return "Its header gives both a corner and a centre."
-    if float(said.get("multiplier", 1)) != 1:
-        return f"Its header multiplies heights by {said['multiplier']}, which GDAL does not."
+    if float(found.get("multiplier", 1)) != 1:
+        return f"Its header multiplies heights by {found['multiplier']}, which GDAL does not."
     return None
 
 
@@ -201,7 +203,7 @@ CHECKS = (arc, grass, surfer, points, gxf, isg, zmap)
 
 
 def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool) -> str | None:
-    """What is wrong with the numbers behind a header, which must be as many as the grid's samples."""
+    """The fault in the numbers after a header, of which there must be one per sample of the grid."""
     with Path(path).open("rb") as file:
         head = file.read(_HEADER)
         found = header.match(head)
@@ -217,7 +219,7 @@ def _grid_fault(dataset: Any, path: str, header: re.Pattern[bytes], comma: bool)
 
 
 def _lines(file: BinaryIO, start: int) -> int:
-    """How many lines there are from a byte on, the last of which may lack its end."""
+    """The number of lines from an offset on; the last one may lack its end."""
     file.seek(start)
     lines, last = 0, b"\n"
     for piece in iter(partial(file.read, _PIECE), b""):
@@ -226,8 +228,7 @@ def _lines(file: BinaryIO, start: int) -> int:
 
 
 def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
-    """A last number at the very end of a file that has fewer decimals than all before it in its column, which have as
-    many."""
+    """The last number of a file if it has fewer decimals than all others in its column, which agree."""
     size = file.seek(0, 2)
     file.seek(max(start, size - _TAIL))
     text = file.read()
@@ -241,7 +242,7 @@ def _shortened(file: BinaryIO, start: int, columns: int = 1) -> str | None:
 
 
 def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool) -> tuple[str | None, int]:
-    """The first thing from byte ``start`` on that is not a number, and how many numbers there are before it.
+    """The first token from byte ``start`` on that is not a number, and the count of numbers before it.
 
     Args:
         lines: before ``start``.
@@ -288,7 +289,7 @@ def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int
 
 
 def _odd_line(file: BinaryIO, start: int, lines: int, cols: int) -> str:
-    """Where numbers are missing or too many, if every line should be a row of the grid; else where they end."""
+    """Where numbers are missing or extra, if every line should be a row of the grid; otherwise where they end."""
     file.seek(start)
     number = lines
     for number, line in enumerate(file, lines + 1):

@@ -1,9 +1,9 @@
-"""TIFF: where its parts lie in the file, and that nothing lies where none can.
+"""TIFF: the parts of the file lie where they can.
 
-GDAL takes what directories say as it is. A file in which bytes were inserted still opens, its samples shifted from
-there on; a changed offset gives samples of another block; a link to the directories behind the first that leads nowhere
-loses a mask without a word. What tells it: blocks that overlap, a chain of directories that breaks off, and, where
-samples are not compressed, bytes at the end of the file that belong to nothing.
+GDAL trusts the directories. A file with inserted bytes still opens, with its samples shifted from there on; a changed
+offset gives samples of another block; a broken link to further directories silently loses a mask. Such damage shows as
+overlapping blocks, a chain of directories that breaks off, and, if samples are not compressed, bytes at the end of the
+file that belong to nothing.
 
 Sources: TIFF 6.0, section 2; BigTIFF (Aware Systems).
 """
@@ -35,11 +35,11 @@ _CODES = {1: "u1", 3: "u2", 4: "u4", 13: "u4", 16: "u8", 17: "u8", 18: "u8"}  # 
 _INNER = (330, 34665, 34853, 40965)  # sub-directories, EXIF, GPS, interoperability
 _MOST = 4096  # directories
 _TAIL = 1 << 16
-_BLOCK = 128  # zeros that fill the last such block are no part of a file
+_BLOCK = 128  # zeros that pad the last such block are not part of a file
 
 
 def fault(dataset: Any, file: IO[bytes]) -> str | None:
-    """What is wrong with the layout of a TIFF, as a sentence; None if nothing is.
+    """The fault in the layout of a TIFF, as a sentence; None if there is none.
 
     Args:
         dataset: of rasterio, open.
@@ -50,7 +50,7 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
     try:
         tiff = TiffFile(file, size)
     except (struct.error, ValueError):
-        return None  # no TIFF that is known here: GDAL judges
+        return None  # an unknown kind of TIFF, which is left to GDAL
     found, broken = tiff.directories()
     if broken:
         return "Its chain of directories breaks off: a mask or an overview after the first is lost."
@@ -67,7 +67,7 @@ def fault(dataset: Any, file: IO[bytes]) -> str | None:
 
 
 def first_directory(file: IO[bytes]) -> tuple[TiffFile, Directory] | None:
-    """A TIFF with its first directory; None if these cannot be read, of which GDAL judges."""
+    """A TIFF with its first directory; None if these cannot be read, which is left to GDAL."""
     size = file.seek(0, 2)
     file.seek(0)
     try:
@@ -78,8 +78,10 @@ def first_directory(file: IO[bytes]) -> tuple[TiffFile, Directory] | None:
 
 
 def cut_off(file: IO[bytes]) -> str | None:
-    """What is wrong with a TIFF that ends before its first raster does, by its directory alone: a download that ended
-    early. (Where samples are not compressed, some writers leave out what fills up the last block.)"""
+    """The fault of a TIFF that ends before its first raster, judged by its directory: an interrupted download.
+
+    (Some writers do not pad the last block of uncompressed samples.)
+    """
     found = first_directory(file)
     if found is None:
         return None
@@ -99,8 +101,10 @@ TURNED = "Rewrite it from its source in LERC's byte order (gdal_translate -co EN
 
 
 def turned_floats(file: IO[bytes]) -> bool:
-    """Whether a TIFF holds floats by LERC with their high byte first: GDAL turns the bytes of what it gives to LERC and
-    of what comes back, so that the codec rounds other numbers, and what is read is not what was written."""
+    """Whether a TIFF holds big-endian floats compressed by LERC.
+
+    GDAL swaps the bytes before and after LERC, which then rounds other numbers: what is read is not what was written.
+    """
     found = first_directory(file)
     if found is None:
         return False
@@ -110,7 +114,7 @@ def turned_floats(file: IO[bytes]) -> bool:
 
 
 def _places_fault(tiff: TiffFile, found: list[Directory]) -> str | None:
-    """Blocks that lie where they cannot."""
+    """Blocks at impossible places."""
     tiff.file.seek(0)
     ordered = row_major(tiff.file.read(1024))
     at, size = tiff.blocks(found[0])
@@ -122,10 +126,10 @@ _CODEC = {1: "", 5: "LZW", 8: "DEFLATE", 32946: "DEFLATE", 32773: "PACKBITS", 50
 
 
 def tile_fault(data: bytes, wide: int = 0, high: int = 0) -> str | None:
-    """What is wrong with a small TIFF in memory that is a tile of something else, as a sentence; None if nothing is.
+    """The fault in a small TIFF in memory that is a tile of another file, as a sentence; None if there is none.
 
     Args:
-        wide, high: the samples that it must have; 0: any.
+        wide, high: the required samples; 0: any.
     """
     file = BytesIO(data)
     try:
@@ -170,7 +174,7 @@ class TiffFile:
         size: how many.
 
     Raises:
-        ValueError: it is none (or struct.error).
+        ValueError: it is not a TIFF (or struct.error).
     """
 
     def __init__(self, file: IO[bytes], size: int) -> None:
@@ -235,7 +239,7 @@ class TiffFile:
         return Directory(tags, at, end, following, twice)
 
     def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
-        """The whole numbers of a tag; none if it is not there or not in the file."""
+        """The integers of a tag; none if it is missing or beyond the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
         if kind not in _CODES or not 0 < count < LARGEST or place + count * _SIZES[kind] > self.size:
             return np.zeros(0, np.int64)
@@ -244,7 +248,7 @@ class TiffFile:
         return np.minimum(read.astype(np.uint64), np.uint64(1 << 62)).astype(np.int64)
 
     def doubles(self, directory: Directory, tag: int) -> NDArray[np.float64]:
-        """The doubles of a tag; none if it is not there or not in the file."""
+        """The doubles of a tag; none if it is missing or beyond the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
         if kind != 12 or not 0 < count < _MOST or place + 8 * count > self.size:
             return np.zeros(0)
@@ -252,7 +256,7 @@ class TiffFile:
         return np.frombuffer(self.file.read(8 * count), self.order + "f8").astype(np.float64)
 
     def text(self, directory: Directory, tag: int) -> str:
-        """The text of a tag; "" if it is not there or not in the file."""
+        """The text of a tag; "" if it is missing or beyond the file."""
         kind, count, place = directory.tags.get(tag, (0, 0, 0))
         if kind != 2 or not 0 < count < _TAIL or place + count > self.size:
             return ""
@@ -260,7 +264,7 @@ class TiffFile:
         return self.file.read(count).rstrip(b"\0 ").decode("latin-1")
 
     def blocks(self, directory: Directory) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Offsets and sizes of the blocks that are there."""
+        """Offsets and sizes of the blocks that exist."""
         for places, sizes in zip(OFFSETS, COUNTS, strict=True):
             at, size = self.numbers(directory, places), self.numbers(directory, sizes)
             if at.size and at.size == size.size:
@@ -275,7 +279,7 @@ class TiffFile:
 
 
 def _block_bytes(dataset: Any) -> int:
-    """Bytes of an uncompressed block, at most."""
+    """The maximum bytes of an uncompressed block."""
     from rasterio.enums import Interleaving
 
     high, wide = dataset.block_shapes[0]
@@ -286,7 +290,7 @@ def _block_bytes(dataset: Any) -> int:
 
 
 def _overlap(dataset: Any, tiff: TiffFile, first: Directory) -> str | None:
-    """Blocks of the raster that lie partly in one another (the very same block may stand for several)."""
+    """Blocks of the raster that overlap partly (several may share one place)."""
     at, size = tiff.blocks(first)
     if tiff.plain(first):
         size = np.minimum(size, _block_bytes(dataset))
@@ -299,7 +303,7 @@ def _overlap(dataset: Any, tiff: TiffFile, first: Directory) -> str | None:
 
 
 def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> str | None:
-    """Bytes behind all that the directories speak of, of a raster that is not compressed."""
+    """Bytes after everything that the directories refer to, in an uncompressed raster."""
     if not tiff.plain(found[0]) or not tiff.blocks(found[0])[0].size:
         return None
     end = max(directory.end for directory in found)
@@ -309,7 +313,9 @@ def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> 
             continue
         if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
             return _cut_fault(dataset, tiff, at, size)
-        wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes  # some say too little
+        wanted = (
+            np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes
+        )  # some writers declare too little
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0
@@ -323,8 +329,11 @@ def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> 
 
 
 def _cut_fault(dataset: Any, tiff: TiffFile, at: NDArray[np.int64], size: int) -> str | None:
-    """What is wrong with a raster that is not compressed and ends within a block. Where samples lack GDAL says so; of a
-    last strip that is filled up it does not see that bytes lack before. Some writers leave the filling out."""
+    """The fault of an uncompressed raster that ends within a block.
+
+    GDAL reports missing samples. In a padded last strip it does not notice missing bytes; some writers omit the
+    padding.
+    """
     high = dataset.block_shapes[0][0]
     down = -(-dataset.height // high)
     if OFFSETS[1] in tiff.directories()[0][0].tags or dataset.height % high == 0 or at.size % down:
@@ -336,6 +345,6 @@ def _cut_fault(dataset: Any, tiff: TiffFile, at: NDArray[np.int64], size: int) -
 
 
 def _trailed(file: IO[bytes]) -> bool:
-    """Whether the last bytes of each block stand behind it once more, as in cloud-optimised files."""
+    """Whether the last bytes of each block are repeated after it, as in cloud-optimised files."""
     file.seek(0)
     return b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED" in file.read(1024)

@@ -1,7 +1,7 @@
-"""TIFF: what the tags of a directory say of each other and of the blocks.
+"""TIFF: consistency of a directory's tags with each other and with the blocks.
 
-libtiff goes on after a warning where a tag stands twice, has a type or a number of values that it cannot have, or where
-its tables list other blocks than there are; GDAL gives nodata, else 0, for a block that has a place and no size.
+libtiff only warns and continues where a tag is repeated, has an impossible type or number of values, or where its
+tables list other blocks than there are; for a block with an offset and no size, GDAL gives nodata or 0.
 
 Sources: TIFF 6.0, sections 2, 8 and 15; GeoTIFF 1.1 (OGC 19-008r4); COG as GDAL writes it.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 OFFSETS, COUNTS = (273, 324), (279, 325)
-LARGEST = 1 << 27  # entries of a table that is looked at
+LARGEST = 1 << 27  # entries of a table that are checked
 
 _WHOLE = (1, 3, 4, 16)
 _TYPES: dict[int, tuple[int, ...]] = {
@@ -30,16 +30,19 @@ _SINGLE = (254, 256, 257, 259, 262, 266, 274, 277, 278, 284, 317, 322, 323)
 _COUNTED = {33550: 3, 34264: 16}
 _MULTIPLE = {33922: 6, 34735: 4}
 _LOOKED_AT = 4096
-_SMALLEST = 64  # bytes of a directory that says of what size its raster is
+_SMALLEST = 64  # bytes of a directory that declares the size of its raster
 _GAPS = 32
-_SEARCHED = 1 << 18  # bytes at either end of a gap, for a directory
-_GUARDS = 9  # bytes around a block: its length, its end once more, and one to make it even
-_MASK = 4  # as a bit of the kind of a directory, and as what its samples mean
+_SEARCHED = 1 << 18  # bytes at either end of a gap that are searched for a directory
+_GUARDS = 9  # bytes around a block: its length, its repeated end, and one for even alignment
+_MASK = 4  # as a bit of NewSubfileType, and as PhotometricInterpretation
 
 
 class Directory(NamedTuple):
-    """One directory: its tags' (type, count, place of the values), where it begins and where it and all its values end,
-    the next one, and a tag that stands in it twice (0: none)."""
+    """A directory of a TIFF.
+
+    It has its tags' (type, count, offset of the values), where it begins, where it and all its values end, the next
+    directory, and a repeated tag (0: none).
+    """
 
     tags: dict[int, tuple[int, int, int]]
     begin: int
@@ -49,7 +52,7 @@ class Directory(NamedTuple):
 
 
 class Tiff(Protocol):
-    """What is asked of a file here."""
+    """What the checks here need from a file."""
 
     file: IO[bytes]
     size: int
@@ -57,11 +60,11 @@ class Tiff(Protocol):
     big: bool
 
     def numbers(self, directory: Directory, tag: int) -> NDArray[np.int64]:
-        """The whole numbers of a tag."""
+        """The integers of a tag."""
 
 
 def tags_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
-    """What is wrong with the tags of directories (the first is the raster's), as a sentence; None if nothing is."""
+    """The fault in the tags of directories (the first is the raster's), as a sentence; None if there is none."""
     for directory in directories:
         if directory.twice:
             return f"Its tag {directory.twice} occurs twice in a directory: it is damaged."
@@ -108,7 +111,7 @@ def _mask_fault(tiff: Tiff, directories: list[Directory]) -> str | None:
 
 
 def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
-    """Tables that list too few blocks, more that hold something, or blocks of which one half is lost."""
+    """Tables that list too few blocks, or too many with content, or blocks with only an offset or only a size."""
     wanted = _blocks_wanted(tiff, first)
     for places, sizes in zip(OFFSETS, COUNTS, strict=True):
         at, size = tiff.numbers(first, places), tiff.numbers(first, sizes)
@@ -134,8 +137,11 @@ def _tables_fault(tiff: Tiff, first: Directory) -> str | None:
 
 
 def _holds(tiff: Tiff, first: Directory, place: int) -> bool:
-    """Whether there is anything but zeros in a block that the table gives a place and no size: of blocks of zeros GDAL
-    writes none in sparse cloud-optimised files, where four bytes before a block say how long it is."""
+    """Whether a block with an offset and no size has nonzero bytes.
+
+    GDAL does not write blocks of zeros into sparse cloud-optimised files, where four bytes before a block give its
+    length.
+    """
     tiff.file.seek(0)
     if b"BLOCK_LEADER=SIZE_AS_UINT4" not in tiff.file.read(1024):
         return True
@@ -144,11 +150,11 @@ def _holds(tiff: Tiff, first: Directory, place: int) -> bool:
     samples = _one(tiff, first, 322, 1) * _one(tiff, first, 323, 1) * _one(tiff, first, 258, 8) // 8
     if _one(tiff, first, 259, 1) == 1:
         return any(tiff.file.read(min(length, samples)))
-    return length > samples // 50 + 32  # what hardly any terrain is compressed to
+    return length > samples // 50 + 32  # hardly any terrain is compressed to less
 
 
 def _blocks_wanted(tiff: Tiff, first: Directory) -> int:
-    """Of how many blocks a raster is made; 0 if its tags do not say."""
+    """The number of blocks of a raster; 0 if its tags do not tell."""
     cols, rows = _one(tiff, first, 256, 0), _one(tiff, first, 257, 0)
     planes = _one(tiff, first, 277, 1) if _one(tiff, first, 284, 1) == 2 else 1
     wide, high = _one(tiff, first, 322, 0), _one(tiff, first, 323, 0)
@@ -160,12 +166,12 @@ def _blocks_wanted(tiff: Tiff, first: Directory) -> int:
 def blocks_fault(
     tiff: Tiff, directories: list[Directory], at: NDArray[np.int64], size: NDArray[np.int64], plain: int, ordered: bool
 ) -> str | None:
-    """What is wrong with where the blocks of the first directory lie, as a sentence; None if nothing is.
+    """The fault in the places of the first directory's blocks, as a sentence; None if there is none.
 
     Args:
-        at, size: of the blocks that are there.
-        plain: bytes of a block that is not compressed; 0: they are compressed.
-        ordered: whether they lie in the order of the raster, as the file says of itself.
+        at, size: of the existing blocks.
+        plain: bytes of an uncompressed block; 0: they are compressed.
+        ordered: whether the file declares that they are in row-major order.
     """
     if ordered and (np.diff(at) <= 0).any():
         return "Its blocks are not in the declared order: the table of their offsets is damaged."
@@ -184,19 +190,21 @@ def blocks_fault(
 
 
 def _lost(size: NDArray[np.int64], twice: NDArray[np.int64], length: int, plain: int) -> bool:
-    """Whether bytes that belong to nothing may be a block whose place was overwritten with that of another. Compressed
-    blocks of one kind may share a place, and leave gaps where they were written anew: only one of the same size is
-    taken for lost."""
+    """Whether unused bytes may be a block whose offset was overwritten with that of another.
+
+    Compressed blocks may share a place, and leave gaps where they were rewritten. So only a gap of the same size counts
+    as a lost block.
+    """
     if plain:
         return bool(length >= size.min())
     return bool(((twice <= length) & (length <= twice + _GUARDS)).any())
 
 
 def lost_mask(tiff: Tiff, directories: list[Directory], parse: Callable[[int], Directory]) -> bool:
-    """Whether a mask of the raster lies where no directory leads to, and none of those that are reached is one.
+    """Whether a mask of the raster exists that no directory leads to, and no reachable directory is one.
 
     Args:
-        parse: the directory at a byte; struct.error or ValueError if there is none.
+        parse: the directory at an offset; struct.error or ValueError if there is none.
     """
     shape = [_one(tiff, directories[0], tag, 0) for tag in (256, 257)]
     if any(_one(tiff, directory, 254, 0) & _MASK for directory in directories):
@@ -219,7 +227,7 @@ def lost_mask(tiff: Tiff, directories: list[Directory], parse: Callable[[int], D
 
 
 def unused(tiff: Tiff, directories: list[Directory]) -> list[tuple[int, int]]:
-    """First byte and number of all bytes in a row that belong to no block and no directory."""
+    """First byte and length of every range that belongs to no block and no directory."""
     begins = [np.array([0, tiff.size, *(directory.begin for directory in directories)])]
     stops = [np.array([8, tiff.size, *(directory.end for directory in directories)])]
     for directory in directories:
@@ -236,13 +244,12 @@ def unused(tiff: Tiff, directories: list[Directory]) -> list[tuple[int, int]]:
 
 
 def row_major(head: bytes) -> bool:
-    """Whether a file says in its first bytes that its blocks lie in the order of the raster, and it was not changed
-    since."""
+    """Whether a file declares in its first bytes that its blocks are in row-major order, and was not changed since."""
     return b"BLOCK_ORDER=ROW_MAJOR" in head and b"KNOWN_INCOMPATIBLE_EDITION=NO" in head
 
 
 def plain_bytes(tiff: Tiff, first: Directory) -> int:
-    """Bytes of a block of a directory's samples, if they are not compressed."""
+    """Bytes of a block, if samples are not compressed."""
     cols, rows = _one(tiff, first, 256, 0), _one(tiff, first, 257, 0)
     wide, high = _one(tiff, first, 322, 0), _one(tiff, first, 323, 0)
     if OFFSETS[1] not in first.tags:

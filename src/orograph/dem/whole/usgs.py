@@ -1,7 +1,7 @@
-"""USGS DEMs: every profile says which one it is, and the least and the greatest of its heights.
+"""USGS DEMs: every profile states its number, and the lowest and highest of its heights.
 
-GDAL looks at neither, so that a digit that was altered or a profile in another's place is a height like others. Some
-writers leave these fields empty or fill them otherwise: they count where nearly all profiles keep to them.
+GDAL checks neither, so an altered digit or a profile in the wrong place goes unnoticed. Some writers leave these fields
+empty or use them differently, so they count only if nearly all profiles agree with them.
 
 Source: Standards for Digital Elevation Models, part 2 (USGS, 1998), records A and B.
 """
@@ -20,12 +20,12 @@ _FULL = (_RECORD - 4) // _WIDTH
 _LARGEST = 64 << 20
 _VOID = -32767
 _SHARE = 0.9
-_CERTAIN = 8  # profiles that tell how records are laid out
+_CERTAIN = 8  # profiles to learn the layout of records from
 _NUMBER = re.compile(rb" *[+-]?(?:\d+\.?\d*|\.\d+)(?:[DE][+-]?\d+)? *\Z", re.I)
 
 
 def fault(dataset: Any, path: str) -> str | None:
-    """What is wrong with a USGS DEM, as a sentence; None if nothing is."""
+    """The fault of a USGS DEM, as a sentence; None if there is none."""
     if Path(path).stat().st_size > _LARGEST:
         return None
     data = _without_line_ends(Path(path).read_bytes())
@@ -34,9 +34,9 @@ def fault(dataset: Any, path: str) -> str | None:
     count, misplaced, contradicted = _profiles(data)
     few = (1 - _SHARE) * count
     if min(misplaced, default=count) < _CERTAIN and len(misplaced) > few:
-        return None  # records laid out otherwise, which GDAL may know
+        return None  # another layout of records, which GDAL may know
     if len(contradicted) > few:
-        contradicted = []  # it does not keep to this
+        contradicted = []  # it does not follow this rule
     first = min((*contradicted, *misplaced), default=None)
     if first is None:
         return None
@@ -44,14 +44,13 @@ def fault(dataset: Any, path: str) -> str | None:
 
 
 def _without_line_ends(data: bytes) -> bytes:
-    """Records without what some writers put behind each."""
+    """Records without the line ends that some writers add."""
     lines = data.splitlines()
     return b"".join(lines) if all(len(line) == _RECORD for line in lines[:-1]) else data
 
 
 def _profiles(data: bytes) -> tuple[int, list[int], list[int]]:
-    """How many profiles there should be; those that are not where they should be; and those whose heights are others
-    than they say; from 0."""
+    """The expected number of profiles; those out of place; and those whose heights contradict their fields; from 0."""
     at, misplaced, contradicted = _RECORD, list[int](), list[int]()
     try:
         count, step = int(data[858:864]), _decimal(data[840:852])
@@ -80,7 +79,7 @@ def _decimal(text: bytes) -> float:
 
 
 def _heights(data: bytes, at: int, rows: int) -> tuple[NDArray[np.int64], int]:
-    """The heights of a profile whose first record begins at a byte, and where the next one begins."""
+    """The heights of a profile whose first record begins at an offset, and where the next profile begins."""
     pieces = [data[at + 144 : at + 144 + _WIDTH * min(rows, _FIRST)]]
     at, left = at + _RECORD, rows - _FIRST
     while left > 0:

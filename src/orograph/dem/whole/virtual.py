@@ -1,8 +1,8 @@
 """VRTs: the parts of other files that make up a window are checked like those files themselves.
 
-GDAL reads the sources of a VRT with their own drivers, and so reads past the same damage. The VRT's XML says which
+GDAL reads the sources of a VRT with their own drivers, and so overlooks the same damage. The VRT's XML says which
 rectangle of which file lies where (https://gdal.org/drivers/raster/vrt.html). Files whose rectangles are not simply
-mapped (warped, pansharpened) are checked as a whole. What is not on this disk is not checked. Units: samples.
+mapped (warped, pansharpened) are checked as a whole. Files that are not on this disk are not checked. Units: samples.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ Place = tuple[Affine, object]
 """Transform and CRS of a file."""
 
 MARGIN = 2
-"""Samples around a mapped window that resampling may look at."""
+"""Samples around a mapped window that resampling may read."""
 
 SHIFT = 0.75
-"""Samples by which a part may lie elsewhere than its file says: mosaics are laid to the nearest."""
+"""Tolerance in samples between a part's place and its file's: mosaics are placed to the nearest sample."""
 
 _COMPARED = 8
 _CONVERTING = ("ScaleRatio", "ScaleOffset", "LUT", "Exponent")
@@ -46,13 +46,13 @@ class Part(NamedTuple):
         location: what GDAL opens.
         band: of it, from 1.
         source, target: left, top, width, height in it and in the VRT; None: all of it.
-        needs: bytes that a file of raw samples must have; 0 of other files.
-        shape: rows, cols that the VRT says it has; None: it does not say.
+        needs: minimum bytes of a file of raw samples; 0 for other files.
+        shape: rows, cols that the VRT declares for it; None: it does not.
         by_mask: whether its mask is read, not its band.
         for_mask: whether it is a part of the VRT's mask.
-        taken: left, top, width, height of what is taken of it, mapped or not; None: it is not known.
+        taken: left, top, width, height of the part that is used, mapped or not; None: unknown.
         tag: the element that names it.
-        onto: the VRT's band that it is a part of, from 1; 0: none alone; −1: of another VRT in this one's text.
+        onto: the VRT's band that it is a part of, from 1; 0: no single band; −1: of a VRT nested in this one's text.
         converted: whether its numbers are changed on the way.
         fills: whether its missing samples are left out.
     """
@@ -73,7 +73,7 @@ class Part(NamedTuple):
 
     @property
     def reach(self) -> tuple[int, int] | None:
-        """Rows, cols that it must have for what is taken of it, to the nearest sample; None: it is not known."""
+        """The minimum rows, cols of the file for the part that is used, to the nearest sample; None: unknown."""
         if self.taken is None:
             return None
         left, top, width, height = self.taken
@@ -88,15 +88,15 @@ def check_parts(
     place: Callable[[Part], Place],
     mask: bool = False,
 ) -> None:
-    """Raise ReadError if a part of a file that a window of a VRT is made of is damaged.
+    """Raise ReadError if a part of a file that contributes to a window of a VRT is damaged.
 
     Args:
         dataset: of rasterio, open, of the VRT.
         key: the VRT's name and state.
         window: top, left, height, width.
-        check: looks at a window (None: all) of a part whose file lies on this disk.
-        place: where the file of a part says that it lies.
-        mask: it is the VRT's mask that is wanted.
+        check: checks a window (None: all) of a part whose file is on this disk.
+        place: the place that a part's file declares.
+        mask: check the VRT's mask instead.
     """
     parts = parts_of(dataset, key)
     for part in parts:
@@ -119,8 +119,10 @@ def check_parts(
 
 
 def _check_length(part: Part, needs: int, dataset: Any) -> None:
-    """Raise ReadError unless a file of raw bands has the samples that they need, in whole rows. (It may have further
-    bands, of which a VRT says nothing.)"""
+    """Raise ReadError unless a file of raw bands has the required samples, in whole rows.
+
+    (It may have further bands, which the VRT does not mention.)
+    """
     behind = Path(part.location).stat().st_size - needs
     if behind < 0:
         raise ReadError("It has fewer samples than the VRT declares.", path=part.location, remedy=DAMAGED)
@@ -133,7 +135,7 @@ def _check_length(part: Part, needs: int, dataset: Any) -> None:
 
 
 def _shifted(dataset: Any, part: Part, place: Callable[[Part], Place]) -> bool | None:
-    """Whether a part lies elsewhere in a VRT than its own file says; None: it cannot be told."""
+    """Whether a VRT places a part elsewhere than its own file; None: unknown."""
     if part.source is None or part.target is None or part.by_mask or part.for_mask:
         return None
     transform, crs = place(part)
@@ -154,8 +156,10 @@ def _shifted(dataset: Any, part: Part, place: Callable[[Part], Place]) -> bool |
 
 
 def _check_place(dataset: Any, parts: list[Part], part: Part, place: Callable[[Part], Place]) -> None:
-    """Raise ReadError if a part lies elsewhere than its file says while another lies where its own says: a VRT may
-    place all its parts anew, not one alone."""
+    """Raise ReadError if a VRT moves one part away from its file's own place but leaves another in place.
+
+    A VRT may place all its parts anew, but not a single one.
+    """
     others = [one for one in parts if one.location != part.location and _named_here(one.location)]
     for other in others[:_COMPARED]:
         if on_disk(other.location).is_file() and _shifted(dataset, other, place) is False:
@@ -166,17 +170,17 @@ def _check_place(dataset: Any, parts: list[Part], part: Part, place: Callable[[P
 
 
 def _named_here(location: str) -> bool:
-    """Whether a name can only be that of a file on this disk, in an archive or not."""
+    """Whether a name can only refer to a file on this disk, in an archive or not."""
     return archive_name(location) or not (location.startswith(("/vsi", "<")) or ":" in location[2:])
 
 
 def locations(dataset: Any, key: object) -> list[str]:
-    """GDAL's names of all parts of a VRT, in files or not; the arguments are those of ``check_parts``."""
+    """GDAL's names of all parts of a VRT, files or not; arguments as for ``check_parts``."""
     return list(dict.fromkeys(part.location for part in parts_of(dataset, key)))
 
 
 def parts_of(dataset: Any, key: object) -> list[Part]:
-    """All parts of a VRT on this disk; the arguments are those of ``check_parts``.
+    """All parts of a VRT on this disk; arguments as for ``check_parts``.
 
     Raises:
         ReadError: they cannot be understood.
@@ -199,7 +203,7 @@ def parts_of(dataset: Any, key: object) -> list[Part]:
 
 
 def _text(dataset: Any, name: str) -> str | bytes:
-    """The XML of a VRT; of ``vrt://FILE?…`` what GDAL makes of it."""
+    """The XML of a VRT; for ``vrt://FILE?…``, the XML that GDAL generates."""
     if str(dataset.name).startswith("vrt://"):
         return str(dataset.tags(ns="xml:VRT")["xml:VRT"])
     with stream(name) as file:
@@ -207,7 +211,7 @@ def _text(dataset: Any, name: str) -> str | bytes:
 
 
 def _read(root: ET.Element, name: str) -> Iterator[Part]:
-    """The parts that a VRT of this name has."""
+    """The parts of the VRT with this name."""
     shape = int(root.get("rasterXSize", 0)), int(root.get("rasterYSize", 0))
     bands = {
         inner: (number, "Derived" in band.get("subClass", ""))
@@ -221,7 +225,7 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
         if file is None or not file.text:
             continue
         location = file.text
-        if location.lstrip().startswith("<"):  # a VRT in a VRT's own text
+        if location.lstrip().startswith("<"):  # a VRT nested in a VRT's own text
             yield from (
                 inner._replace(source=None, target=None, taken=None, onto=-1)
                 for inner in _read(ET.fromstring(location), name)
@@ -231,13 +235,13 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
             before, inner, after = file_in(location)
             location = f"{before}{name.rpartition('/')[0] or '.'}/{inner}{after}"
         kind, _, band = (element.findtext("SourceBand") or "1").rpartition(",")
-        as_is = element.find("OpenOptions") is None  # or it is an overview of the file, say
+        as_is = element.find("OpenOptions") is None  # or it is an overview of the file, for example
         mapped = as_is and element.tag in ("SimpleSource", "ComplexSource")
         source, target = (_rect(element.find(tag)) if mapped else None for tag in ("SrcRect", "DstRect"))
         needs = _raw_bytes(element, *shape) if element.tag == "VRTRasterBand" else 0
         number, by_mask = int(band) if band.isdigit() else 1, kind == "mask"
-        said = element.find("SourceProperties") if as_is else None
-        size = None if said is None else (int(said.get("RasterYSize", 0)), int(said.get("RasterXSize", 0)))
+        given = element.find("SourceProperties") if as_is else None
+        size = None if given is None else (int(given.get("RasterYSize", 0)), int(given.get("RasterXSize", 0)))
         size = None if size == (0, 0) else size
         taken = _rect(element.find("SrcRect")) if as_is and element.tag != "VRTRasterBand" else None
         onto, derived = bands.get(element, (0, False))
@@ -259,17 +263,17 @@ def _read(root: ET.Element, name: str) -> Iterator[Part]:
 def _rect(element: ET.Element | None) -> Rect | None:
     if element is None:
         return None
-    said = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
-    if None in said:
+    given = [element.get(side) for side in ("xOff", "yOff", "xSize", "ySize")]
+    if None in given:
         raise ValueError(f"a {element.tag} has no position")
-    left, top, width, height = (float(side or 0) for side in said)
+    left, top, width, height = (float(side or 0) for side in given)
     if not (math.isfinite(left + top) and 0 < width < math.inf and 0 < height < math.inf):
         raise ValueError(f"a {element.tag} has an invalid position")
     return left, top, width, height
 
 
 def _meets(target: Rect, shape: tuple[int, int]) -> bool:
-    """Whether a rectangle has a part in a VRT of so many columns and rows."""
+    """Whether a rectangle overlaps a VRT of so many columns and rows."""
     left, top, width, height = target
     return left < shape[0] and top < shape[1] and left + width > 0 and top + height > 0
 
@@ -295,7 +299,7 @@ def _mapped(part: Part, window: Window) -> Window | tuple[()] | None:
 
 
 def _along(begin: float, end: float, onto: float, onto_size: float, of: float, of_size: float) -> tuple[int, int]:
-    """Where [begin, end) of the VRT lies in a file, along one axis; nothing if they do not meet."""
+    """The range of a file that [begin, end) of the VRT maps to, along one axis; empty if they do not meet."""
     a, b = max(begin, onto), min(end, onto + onto_size)
     if a >= b:
         return 0, 0

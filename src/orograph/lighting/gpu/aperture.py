@@ -1,12 +1,12 @@
-"""Ambient aperture lighting on the GPU: the tables that ``shaders/aperture.wgsl`` takes, and light on points by it.
+"""Ambient aperture lighting on the GPU: the tables of ``shaders/aperture.wgsl``, and light on points.
 
 The shading functions are the float32 twin of ``orograph.lighting.aperture_kernels`` (Oat & Sander 2007), for renderers
 to include. ``light`` runs them on points of the ground, as ``orograph.lighting.aperture.light`` does on the CPU.
 
 Float32 differs from the CPU's float64 by less than 1e-5 of the lights' sum on caps and discs of some degrees, and by
-3e-5 on the rim of a cap before the true sun, whose whole penumbra is 0.009 radians wide (caps are stored as the cosine
-of their radius, which float32 knows to 6e-8). A lamp on a cap's very rim may be seen by one and not by the other. Where
-a corner of the field is missing the CPU takes the sky for open; here the other corners are mixed.
+3e-5 on the rim of a cap in front of the true sun, whose whole penumbra is 0.009 radians wide (caps are stored as the
+cosine of their radius, with a precision of 6e-8 in float32). A lamp exactly on a cap's rim may be visible in one and
+not in the other. If a corner of the field is missing, the CPU uses the open sky; here, the other corners are mixed.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ _WIDE = 32768  # groups along x
 
 
 def tables(lights: Lights, linear: ArrayLike, origin: ArrayLike) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """Suns and lamps as the shader takes them, at least one of each (a light of nothing, where there is none).
+    """Suns and lamps in the form of the shader, at least one of each (one without light if there is none).
 
     Args:
         linear: (2, 2) metres east and north per column and per row.
-        origin: (3,) metres east and north of sample (0, 0), and height, that lamps are placed from.
+        origin: (3,) metres east and north of sample (0, 0), and height: the origin of lamps' positions.
     """
     suns, lamps, _ = lights.tables(np.asarray(linear, np.float64))
     lit, hung = np.zeros(max(len(suns), 1), SUN), np.zeros(max(len(lamps), 1), LAMP)
@@ -55,8 +55,8 @@ def tables(lights: Lights, linear: ArrayLike, origin: ArrayLike) -> tuple[NDArra
 def packed(caps: Values) -> Values:
     """Caps (n, 4) as two words each (2n,) float32: east and up, north and the radius' cosine, in 16 bits each.
 
-    They are off by 1.6e-5 at most. What is never negative lies in the upper half, from 128 up: as floating-point
-    numbers the words are neither denormal nor NaN, which a driver may change.
+    The error is at most 1.6e-5. The component that is never negative is in the upper half, from 128 up, so that the
+    words are neither denormal nor NaN as floats, which a driver may change.
     """
     out = np.empty((len(caps), 2), np.uint32)
     for k, (signed, positive) in enumerate(((0, 2), (1, 3))):

@@ -3,30 +3,31 @@
 Crassin, Neyret, Sainz, Green & Eisemann 2011 ("Interactive Indirect Illumination Using Voxel Cone Tracing", sec. 5 and
 7), for height fields; the definition of A, ρ and R is that of ``orograph.lighting.occlusion``.
 
-*Voxels* are columns of cells with the share of each that lies under the ground, anchored to the terrain, and the share
-of what one sees of it along columns and along rows that the ground in it hides (anisotropic voxels, Crassin et al.,
-sec. 4.2): a cliff in the middle of a voxel fills half of it and hides all behind it. They form a clip map: level l has
-voxels 2^l cells wide and as thick, made straight out of the heights, and reaches only as far around a tile as cones
-need it: read trilinear, a voxel blurs as much as something √3 times as wide, so a cone of half angle a wants voxels of
-width 2 t tan a / √3 at distance t. Voxels of level l are made out of every 2^(l − 3)-th sample, 64 of them each, so a
-tile takes some megabytes whatever the radius and the raster.
+*Voxels* are columns of cells, anchored to the terrain. Each has its share under the ground, and the share of the view
+along columns and along rows that the ground in it hides (anisotropic voxels, Crassin et al., sec. 4.2): a cliff in the
+middle of a voxel fills half of it and hides everything behind it. They form a clip map: level l has voxels 2^l cells
+wide and high, made straight from the heights, and reaches only as far around a tile as cones need it. With trilinear
+reads, a voxel blurs as much as an object √3 times as wide, so a cone of half angle a needs voxels of width 2 t tan a /
+√3 at distance t. Voxels of level l are made from every 2^(l − 3)-th sample, 64 of them each, so a tile takes a few
+megabytes whatever the radius and the raster.
 
-*Cones* fill the hemisphere around the normal in rings of equal height, as many per ring as are about square. Each
-carries the integral of the cosine over its patch of the sky. Along it voxels of its own width are read, trilinear and
-between levels. These make it right for terrain:
+*Cones* fill the hemisphere around the normal in rings of equal height, with as many per ring as make them about square.
+Each carries the integral of the cosine over its patch of the sky. It reads voxels of its own width, trilinearly and
+between levels. The following makes this accurate for terrain:
 
-- The share of a voxel that the sample's own tangent plane fills, or hides, is taken off: else the lowest ring, whose
-  patches touch the plane, would be occluded on level ground.
-- What a voxel hides is too much along a slope that the cone grazes (its highest lies farther away than its middle), its
-  share too little at a cliff: the one counts where the share rises along the cone (``EDGE`` of the shader).
-- Where a cone is narrower than ``FIRST`` cells the ground itself is the finest level: its elevation above the sample's
-  plane, at distances that grow by 1.3, hides the patch from below. Creases are narrower than any voxel.
-- Ground fills a patch from below and behind what is filled there may be more of the same: what is hidden is the largest
-  share along the cone, not the product of many transparencies. Where it grows, ρ is taken at that distance.
-- The share of a patch becomes a share of light by the integral of the cosine from the patch's lower edge up.
+- The share of a voxel that the sample's own tangent plane fills or hides is subtracted; otherwise the lowest ring,
+  whose patches touch the plane, would be occluded on level ground.
+- The share that a voxel hides is too large along a slope that the cone grazes (its highest point is farther away than
+  its middle), and the share that it fills is too small at a cliff: the first is used where the share rises along the
+  cone (``EDGE`` of the shader).
+- Where a cone is narrower than ``FIRST`` cells, the ground itself is the finest level: its elevation above the sample's
+  plane, at distances that grow by a factor of 1.3, hides the patch from below. Creases are narrower than any voxel.
+- Ground fills a patch from below, and more of the same may be behind it: the hidden share is the largest one along the
+  cone, not the product of many transparencies. Where it grows, ρ is taken at that distance.
+- The share of a patch becomes a share of light by the integral of the cosine from the patch's lower edge upwards.
 
-It is smooth and quick and an approximation: see the manual for the errors. Heights and lengths in metres. Tiles do not
-matter beyond the 8 bits of a voxel. Missing samples are empty. Cells should be about square.
+The result is smooth and fast, but an approximation: see the manual for the errors. Heights and lengths in metres. Tiles
+make no difference beyond the 8 bits of a voxel. Missing samples are empty. Cells should be about square.
 """
 
 from __future__ import annotations
@@ -50,15 +51,15 @@ from orograph.lighting.rho import Transmission, transmission
 TILE = 128
 """Samples along a tile's side."""
 LEVELS = 12
-"""Levels of voxels there can be: cells of 1 m see 40 km."""
+"""Maximum levels of voxels: cells of 1 m see 40 km."""
 FIT = 1 / math.sqrt(3)
-"""Widths of a cone that a voxel read in it is wide: read trilinear, such a voxel blurs as much as the cone's width."""
+"""Width of a voxel in widths of its cone: with trilinear reads, it then blurs as much as the cone's width."""
 FIRST = 2.0
-"""Where voxels are read first: where cones are this many cells wide; nearer it is the ground itself."""
+"""The width of cones, in cells, from which voxels are read; nearer, the ground itself is."""
 CONES = 64
 """Default number of cones."""
 DENSE = 3
-"""Voxels of level l are made out of samples of level l − ``DENSE``."""
+"""Voxels of level l are made from samples of level l − ``DENSE``."""
 _FRAME = np.dtype(
     [("linear", "f4", 4), ("inverse", "f4", 4), ("run", "f4", 4), ("tile", "i4", 4), ("counts", "i4", 4),
      ("levels", [("origin", "f4", 4), ("size", "f4", 4), ("place", "f4", 4)], LEVELS)]
@@ -69,7 +70,7 @@ def cones(about: int) -> tuple[Values, float]:
     """Cones that fill the hemisphere.
 
     Args:
-        about: how many are wanted; there are 8 r² / π of them in r rings, rounded ring by ring.
+        about: the approximate number; there are 8 r² / π in r rings, rounded ring by ring.
 
     Returns:
         (n, 8) float32: axis (two components across, one along the normal), its share of the cosine's integral (they
@@ -92,8 +93,10 @@ def cones(about: int) -> tuple[Values, float]:
 
 
 def _packed(sizes: list[NDArray[np.int64]]) -> tuple[list[tuple[int, int, int]], tuple[int, int, int]]:
-    """Where boxes (columns, rows, layers) lie in one texture, the first beside all others, which stand on each other;
-    and its size."""
+    """The positions of boxes (columns, rows, layers) in one texture, and its size.
+
+    The first is beside all others, which are stacked.
+    """
     first, rest = sizes[0], sizes[1:]
     places, top = [(0, 0, 0)], 0
     for size in rest:
@@ -107,7 +110,7 @@ class Tracer:
     """Cones through a terrain's voxels on a device.
 
     Args:
-        about: how many cones are wanted.
+        about: the approximate number of cones.
     """
 
     def __init__(self, device: Device, context: Context, ways: Transmission, about: int) -> None:
@@ -152,7 +155,7 @@ class Tracer:
             return np.full(inner.shape, np.nan, np.float32)
         low, high = float(np.nanmin(inner)), float(np.nanmax(inner))
         thickest = self.cell * (1 << (self.levels - 1))
-        base = math.floor(low / thickest) * thickest  # where layers of all levels begin, whatever the tile
+        base = math.floor(low / thickest) * thickest  # where the layers of all levels begin, independent of the tile
         sizes = [self._size(k, row0, row1, col0, col1, low - base, high - base, base) for k in range(self.levels)]
         places, whole = _packed([size for _, size in sizes])
         if max(whole) > self.device.limit("max-texture-dimension-3d"):
@@ -201,7 +204,7 @@ class Tracer:
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Origin and size of a level's voxels around a tile, in its own units: columns, rows, layers.
 
-        low, high: of the tile's heights, from what layers count from: base.
+        low, high: of the tile's heights, relative to the base of layers.
         """
         wide, reach = 1 << level, self.reach(level)
         # In samples, a distance in cells is stretched where cells are not square.
@@ -209,7 +212,7 @@ class Tracer:
         thick, up = self.cell * wide, reach * self.cell
         first = [(col0 - over) / wide, (row0 - down) / wide, (low - up) / thick]
         last = [(col1 + over) / wide, (row1 + down) / wide, (high + up) / thick]
-        # Beyond the terrain all is as the outermost voxels are: empty beside and above it, below it as over them.
+        # Beyond the terrain, voxels are empty beside and above it; below it they repeat the outermost ones.
         (rows, cols), (lowest, highest) = self.context.shape, self.extremes
         ends = np.array([[0, cols], [0, rows], [(lowest - base) / self.cell, (highest - base) / self.cell]]) / wide
         least, most = np.floor(ends[:, 0]) - 2, np.ceil(ends[:, 1]) + 2
@@ -227,7 +230,7 @@ class Tracer:
         return out
 
     def _samples(self, level: int, box: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Rectangle:
-        """The samples out of which a level's voxels are made."""
+        """The samples from which a level's voxels are made."""
         terrain = self.context.terrain
         source = min(max(level - DENSE, 0), terrain.levels - 1)
         (col, row, _), (cols, rows, _) = (v << (level - source) for v in box)
@@ -252,14 +255,14 @@ class Tracer:
         uniform[20:23] = place
         filling = encoder.begin_compute_pass()
         filling.set_pipeline(self.fill)
-        told = self.device.buffer(uniform, "UNIFORM")
-        group = self._voxelise.bind({"level": told, "heights": held.buffer, "voxels": voxels})
+        levels = self.device.buffer(uniform, "UNIFORM")
+        group = self._voxelise.bind({"level": levels, "heights": held.buffer, "voxels": voxels})
         filling.set_bind_group(0, group)
         filling.dispatch_workgroups(-(-int(size[0]) // 8), -(-int(size[1]) // 8))
         filling.end()
 
     def _parts(self, row0: int, row1: int, col0: int, col1: int) -> Values:
-        """A tile with more layers than a texture holds, in two parts."""
+        """A tile with more layers than a texture can hold, in two parts."""
         if max(row1 - row0, col1 - col0) < 2:
             raise UsageError(
                 "Voxels as tall as this ground do not fit on the GPU.",
@@ -286,7 +289,7 @@ def run(context: Context, device: Device | None = None) -> Blocks:
         raise UsageError(f"At least three cones are needed, not {about}.")
     ways = transmission(options.more.get("rho", "step"), options.radius)
 
-    def blocks() -> Blocks:  # (the device is opened by whoever makes them)
+    def blocks() -> Blocks:  # (the maker opens the device)
         tracer = Tracer(device or open_device(), context, ways, about)
         yield from by_tiles(context, TILE, "Tracing cones", tracer.tile)
 

@@ -1,4 +1,4 @@
-"""How the directions of a tile's shadow maps look at the terrain: ``occlusion_maps`` has idea, source and units."""
+"""How the directions of a tile's shadow maps see the terrain (``occlusion_maps`` has idea, source and units)."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ NEAR = 1e-3
 """Cells within which a face is the sample's own."""
 HOLE = 2.0
 """Cells beyond which a face seen from below is ground behind a hole."""
-BATCH = 16  # directions per submission at most: enough to keep a GPU busy, and Ctrl-C is heard in between
-MOST_CELLS = 1 << 22  # drawn in one: a fraction of a second on the slowest GPU; drivers' watchdogs wait for two
+BATCH = 16  # maximum directions per submission: enough to keep a GPU busy; Ctrl-C works in between
+MOST_CELLS = (
+    1 << 22
+)  # drawn at once: a fraction of a second on the slowest GPU; drivers' watchdogs wait for two seconds
 
 DIRECTION = np.dtype(
     [("u", "f4", 4), ("v", "f4", 4), ("s", "f4", 4), ("omega", "f4", 4), ("run", "f4", 4), ("map", "u4", 4),
@@ -40,12 +42,11 @@ Drawn = tuple[int, int, int]
 
 
 class Frames:
-    """How the directions that matter to a tile map it: everything in float64, relative to the tile's first sample.
+    """The mappings of the directions that matter to a tile: everything in float64, relative to the tile's first sample.
 
     Attributes:
-        rings: ``RING`` of each ring. level: the height that heights are relative to. size, texels: width and height
-            that hold all maps, and the area of the largest. holes: of each direction, whether rays may meet missing
-            samples.
+        rings: ``RING`` of each ring. level: the reference of heights. size, texels: width and height that hold all
+            maps, and the area of the largest. holes: for each direction, whether rays may meet missing samples.
         blocks: instances of ``vertex`` of the shader, (n, 4) int32. drawn: which of them, by direction.
     """
 
@@ -61,7 +62,7 @@ class Frames:
         self.omegas = maps.omegas[facing > 0]
         low, high = float(np.nanmin(inner)), float(np.nanmax(inner))
         self.level = round((low + high) / 2)
-        # The lowest and the highest there is, as seen from the tile.
+        # The lowest and the highest heights, as seen from the tile.
         deepest, tallest = min(h.low for h in held), max(h.high for h in held)
         a, b = window[0] - origin[0], window[1] - origin[0]
         c, d = window[2] - origin[1], window[3] - origin[1]
@@ -73,7 +74,7 @@ class Frames:
         linear, cell = maps.context.linear, maps.cell
         texel = cell / maps.how.texels
         corners = np.array([[x, y, z - self.level] for x in (c, d - 1) for y in (a, b - 1) for z in (low, high)])
-        # Where the tile lies in the terrain, so that texels do not depend on the tile.
+        # The tile's place in the terrain, so that texels do not depend on the tile.
         place = np.append(linear @ [origin[1], origin[0]], float(self.level))
         for k, omega in enumerate(self.omegas):
             level = math.hypot(omega[0], omega[1])
@@ -92,7 +93,7 @@ class Frames:
             met, self.holes[k] = ground.met(omega, az, level, min(maps.ways.radius * level, 1e9), texel * tall)
             chosen.append(met)
         ends = np.cumsum([0, *(len(some) for some in chosen)])
-        none = np.zeros((1, 4), np.int32)  # a buffer holds something
+        none = np.zeros((1, 4), np.int32)  # a buffer must not be empty
         self.blocks = np.concatenate([none, *(ground.instances[some] for some in chosen)])
         self.drawn: list[list[Drawn]] = [
             [(number, 1 + int(start + i), 1 + int(start + j)) for number, (i, j) in enumerate(
@@ -121,7 +122,7 @@ class Frames:
             out["hole"] = edge[2], edge[0], edge[3], edge[1]
         else:
             out["hole"] = far, far, -far, -far
-        # Below the border of its hole a ring goes down a ramp steeper than rays: none slips in under its edge.
+        # Below the border of its hole, a ring has a ramp steeper than rays, so that none passes under its edge.
         out["drop"] = relief + 8.0 * maps.cell * (1 << r.level), self.level, 0, 0
         return out
 
@@ -144,7 +145,7 @@ class Frames:
 
 
 class _Blocks:
-    """All that may be drawn for a tile: blocks of its rings' cells, and which of them a direction's rays can meet.
+    """The blocks of a tile's rings, and which of them a direction's rays can meet.
 
     Attributes:
         instances: (n, 4) int32, as the shader takes them. firsts: the first of each ring, and their number.
@@ -163,11 +164,11 @@ class _Blocks:
         self.boxes = np.concatenate([boxes for _, boxes in some], axis=1)
 
     def met(self, omega: Array, az: Array, level: float, reach: float, texel: float) -> tuple[NDArray[np.intp], bool]:
-        """Which blocks rays along ``omega`` can meet, in order, and whether there are holes in them.
+        """The blocks that rays along ``omega`` can meet, in order, and whether they contain holes.
 
         Args:
-            az, level: its azimuth, of length 1, and its share across. reach: how far across, metres. texel: metres by
-                which what is in a texel may be aside of its ray.
+            az, level: its azimuth, of length 1, and its horizontal share. reach: how far horizontally, metres. texel:
+                the largest sideways distance of a texel's content from its ray, metres.
         """
         top, bottom, left, right, lowest, highest, missing, ramp = self.boxes
         a, b, c, d = self.tile
@@ -183,10 +184,10 @@ class _Blocks:
         (near, far), (left_of, right_of) = spans
         near = np.maximum(near, 0.0)
         met = (far >= 0.0) & (left_of <= 0.0) & (right_of >= 0.0) & (near <= reach)
-        if omega[2] > 0.0:  # rays pass above what is lower
+        if omega[2] > 0.0:  # rays pass above lower ground
             met &= (highest - low + 2.0 * texel) * level >= near * omega[2]
         holes = missing > 0.0
-        if omega[2] < 0.0:  # without holes they have met the ground before they are below all of it
+        if omega[2] < 0.0:  # without holes, rays meet the ground before they are below all of it
             above = (high - lowest + 2.0 * texel) * level >= near * -omega[2]
             holes &= above
             if not (met & holes).any():
@@ -195,7 +196,7 @@ class _Blocks:
 
 
 def _of(ring: Ring, ground: Held, origin: tuple[int, int]) -> tuple[NDArray[np.int32], Array]:
-    """A ring's blocks, but for what lies well inside its hole: instances (n, 4) and boxes (8, n)."""
+    """A ring's blocks, except those well inside its hole: instances (n, 4) and boxes (8, n)."""
     r, wide = ring.where, 1 << ring.where.level
     instances, boxes = [], []
     for r0, r1, c0, c1 in _parts(ring):
@@ -219,12 +220,12 @@ def _of(ring: Ring, ground: Held, origin: tuple[int, int]) -> tuple[NDArray[np.i
 
 
 def _parts(ring: Ring) -> list[tuple[int, int, int, int]]:
-    """Rectangles of a ring's cells (first row, end, first column, end) that hold all but those well inside its hole."""
+    """Rectangles of a ring's cells (first row, end, first column, end): all but those well inside its hole."""
     r = ring.where
     b, d = r.row1 - r.row0 - 1, r.col1 - r.col0 - 1
     found = [(0, b, 0, d)]
     if ring.hole is not None:
-        sides = ring.open_sides()  # there the outermost cells of the hole are a ramp
+        sides = ring.open_sides()  # the outermost cells of the hole are a ramp there
         e, f, g, h = (v + s * way for v, s, way in zip(
             (ring.hole[0] - r.row0, ring.hole[1] - r.row0, ring.hole[2] - r.col0, ring.hole[3] - r.col0),
             sides, (1, -1, 1, -1)))  # fmt: skip
@@ -235,8 +236,10 @@ def _parts(ring: Ring) -> list[tuple[int, int, int, int]]:
 
 
 def corners() -> NDArray[np.uint16]:
-    """Indices of a block's triangles, counter-clockwise from above where columns run east and rows south: cells are cut
-    along the diagonal of even (row + column)."""
+    """Indices of a block's triangles, counter-clockwise from above where columns run east and rows south.
+
+    Cells are cut along the diagonal of even (row + column).
+    """
     row, col = np.mgrid[:BLOCK, :BLOCK].reshape(2, -1, 1)
     even = (row + col) % 2 == 0
     right = np.where(even, [0, 1, 1, 0, 0, 1], [0, 0, 1, 1, 0, 1])

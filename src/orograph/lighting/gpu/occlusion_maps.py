@@ -3,24 +3,25 @@
     A = Σ wᵢ ρ(L(p, ωᵢ)) / Σ wᵢ,   wᵢ = ⟨ωᵢ, n⟩₊ / p(ωᵢ)
 
 Zhukov, Iones & Kronin 1998 for A (``orograph.lighting.occlusion`` has the definition); shadow mapping finds L for all
-samples of a tile in one pass per direction. All samples share the directions, whose normals differ, so these cover the
-whole sphere with density p(ω) = (1 + ω_z) / 4π, which is most where the normals of terrain look: a Fibonacci lattice.
-Where no sample of a tile looks towards a direction it is passed over.
+samples of a tile in one pass per direction. All samples share the directions, but their normals differ, so the
+directions cover the whole sphere with density p(ω) = (1 + ω_z) / 4π, which is highest where the normals of terrain
+point: a Fibonacci lattice. A direction that no sample of a tile faces is skipped.
 
-*The map* lies square to ω; its texels are 1/``texels`` of a sample wide, anchored to the terrain and not to the tile.
-Seen from the light only the outermost face would be in it, but L ends at the first face that a ray enters, so every
-texel keeps the depths of all faces that look away from the light, sorted (``layers`` of them; where there are more, the
-tile is done again with twice as many). Such faces are the backs of what the light sees: none lies under a lit sample,
-so there is no acne, and no bias is needed: what counts is any such face more than ``NEAR`` cells in front. The facets
-that meet in the sample itself, on which a texel's width would matter most, are tested exactly instead. Left is an error
-of half a texel in where occluders stand: samples come out a little too light, by 0.001 on average with 4 texels.
+*The map* is perpendicular to ω; its texels are 1/``texels`` of a sample wide, anchored to the terrain and not to the
+tile. A usual shadow map holds only the outermost face as seen from the light, but L ends at the first face that a ray
+enters. So every texel keeps the sorted depths of all faces that point away from the light (``layers`` of them; if there
+are more, the tile is repeated with twice as many). Such faces are the backs of lit ground: none lies under a lit
+sample, so there is no acne and no bias is needed. Any such face more than ``NEAR`` cells in front counts. The facets
+that meet in the sample itself, for which a texel's width would matter most, are tested exactly instead. The remaining
+error is half a texel in the position of occluders: samples come out slightly too light, by 0.001 on average with 4
+texels.
 
-*Tiles* of ``tile``² samples have their own maps; terrain within R of them, on the light's side and no farther than its
-relief can shade, is drawn into them, those blocks of cells that rays from the tile may meet: at full resolution within
-512 samples, beyond that out of coarser levels (``rings`` has the bound), so that a tile takes some tens of MB whatever
-the raster and R. The result does not depend on the tiles within 512 samples beyond float32 rounding (1e-4 at single
-samples). Heights and lengths in metres. Missing samples do not occlude; ground behind a hole counts as a wall. Faces
-towards the light are drawn only for directions that may meet a hole: twice the faces, and more layers.
+*Tiles* of ``tile``² samples have their own maps. Drawn into a map are the blocks of cells that rays from the tile may
+meet: those within R, on the light's side and no farther than the tile's relief can shade; at full resolution within 512
+samples, and from coarser levels beyond (``rings`` has the bound). So a tile takes some tens of MB whatever the raster
+and R. Within 512 samples, the result does not depend on the tiles beyond float32 rounding (1e-4 at single samples).
+Heights and lengths in metres. Missing samples do not occlude; ground behind a hole counts as a wall. Faces towards the
+light are drawn only for directions that may meet a hole, because they need twice the faces and more layers.
 """
 
 from __future__ import annotations
@@ -54,7 +55,9 @@ _INSTANCE = {
 }  # fmt: skip
 _RECORD = 256  # bytes between records of a buffer with dynamic offsets
 _SMALL = 16  # samples along the side of a tile that is not divided further
-_LARGEST = 1 << 27  # bytes of a map, and texels along its side: what any device allows, so that tiles are divided alike
+_LARGEST = (
+    1 << 27
+)  # bytes of a map, and texels along its side: any device allows these, so that tiles are divided equally everywhere
 _SIDE = 8192
 
 
@@ -63,8 +66,8 @@ class Settings:
     """How maps are made.
 
     Attributes:
-        texels: per distance between samples. tile: samples along a tile's side, even. layers: faces that a texel
-            keeps to begin with. reach: samples beyond a tile within which the ground is drawn at full resolution.
+        texels: per distance between samples. tile: samples along a tile's side, even. layers: the initial number of
+            faces that a texel keeps. reach: samples beyond a tile within which the ground is drawn at full resolution.
     """
 
     texels: float = 4.0
@@ -78,7 +81,7 @@ SETTINGS = Settings()
 
 
 def directions(n: int, seed: int = 0) -> Array:
-    """N directions (n, 3), east, north, up, of density (1 + up) / 4π; ``seed`` turns them about the vertical."""
+    """N directions (n, 3), east, north, up, of density (1 + up) / 4π; ``seed`` rotates them about the vertical."""
     i = np.arange(n) + 0.5
     up = 2.0 * np.sqrt(i / n) - 1.0
     turn = 2.0 * math.pi * (i * GOLDEN + (seed * GOLDEN) % 1.0)
@@ -118,11 +121,11 @@ class Maps:
         self._texels: Any = None  # of the largest map so far
 
     def _pipeline(self, front: bool) -> Any:
-        """The pass that fills a map with faces that look away from the light, or with all of them."""
-        # Rows of the map run upward, which turns triangles over once, and so do rows of samples that run south.
+        """The pass that fills a map with faces that point away from the light, or with all faces."""
+        # Rows of the map run upward, which flips triangles once; so do rows of samples that run south.
         winding = "cw" if np.linalg.det(self.context.linear) < 0 else "ccw"
         return self._program.draw(
-            [{"format": "r8unorm", "write_mask": 0}],  # the layers are what is drawn
+            [{"format": "r8unorm", "write_mask": 0}],  # the layers are the output
             buffers=[_INSTANCE],
             primitive={"front_face": winding, "cull_mode": "none" if front else "front"},
         )
@@ -158,10 +161,10 @@ class Maps:
             if not lost:
                 break
             layers *= 2
-        # Neighbours need as many, as a rule; with fewer what is lost is seen, so that it matters to the time alone.
+        # Neighbours usually need as many. Too few are detected, so this affects only the time.
         self._done += 1
         self._layers = layers if self._done % 16 else max(layers // 2, self.how.layers)
-        # Where no direction looks at the ground (there are a few in all) nothing is known to hide the sky.
+        # If no direction faces the ground (with very few directions), nothing is known to hide the sky.
         out = np.divide(sums[..., 0], sums[..., 1], out=np.ones_like(inner), where=sums[..., 1] > 0.0)
         out[missing] = np.nan
         return np.asarray(np.clip(out, 0.0, 1.0))
@@ -169,7 +172,7 @@ class Maps:
     def _parts(
         self, window: tuple[int, int, int, int], origin: tuple[int, int], around: tuple[Ring, ...], tall: float
     ) -> Values:
-        """A tile whose maps are too large: in two parts, or below a cliff of thousands of texels with taller texels."""
+        """A tile whose maps are too large: in two parts or, below a cliff of thousands of texels, with tall texels."""
         row0, row1, col0, col1 = window
         if max(row1 - row0, col1 - col0) <= _SMALL:
             return self._part(window, origin, around, 2.0 * tall)
@@ -182,7 +185,7 @@ class Maps:
         return np.concatenate([self._part(w, origin, around, tall) for w in halves], axis=axis)
 
     def _pass(self, held: list[Held], frames: Frames, gx: Array, gy: Array, layers: int) -> tuple[Values, int]:
-        """Sums (rows, cols, 2) over all directions, and how many faces found no layer."""
+        """Sums (rows, cols, 2) over all directions, and the number of faces that found no layer."""
         device, handle = self.device, self.device.handle
         rows, cols = gx.shape
         records = frames.records(layers)
@@ -243,7 +246,7 @@ class Maps:
             lost,
             blocks,
             *shared,
-        ):  # not when Python comes to it: on software it is the process' memory
+        ):  # now, not at garbage collection: with a software adapter it is the process's memory
             buffer.destroy()
         return found, missed
 
@@ -273,8 +276,10 @@ def run(context: Context, device: Device | None = None) -> Blocks:
 
 
 def by_tiles(context: Context, side: int, what: str, make: Callable[[int, int, int, int], Values]) -> Blocks:
-    """The product tile by tile, in order, those in the window that the context asks for; tiles are kept where the
-    context keeps anything. A process makes one at a time."""
+    """The product tile by tile, in order, for the tiles in the context's window.
+
+    Tiles are kept if the context keeps partial results. A process makes one at a time.
+    """
     windows = [w for w in rectangles(context.shape, side, side) if context.only is None or meet(w, context.only)]
 
     def one(window: tuple[int, int, int, int]) -> Values:

@@ -1,12 +1,12 @@
 """The ground around a tile of samples: at full resolution nearby, coarser with distance.
 
-Ring k holds every 2^k-th sample (the terrain's nested level k) as far as ``REACH`` of its own samples beyond the tile,
-and R, where there is one; what finer rings hold is its hole. So rings are a few MB each whatever the raster, and there
-are as many as the logarithm of what is within R. What lies d metres away stands on samples at most 2 d / ``REACH``
-apart; where such a level is off by e metres, the tangent of an elevation seen from the tile is off by e / d at most:
-``bound`` is the largest of these over a terrain. Within ``REACH`` samples all is exact.
+Ring k holds every 2^k-th sample (the terrain's nested level k) up to ``REACH`` of its own samples beyond the tile, or
+up to R, if there is one; the part that finer rings hold is its hole. So each ring takes a few MB whatever the raster,
+and their number is the logarithm of the number of samples within R. Ground at distance d consists of samples at most 2
+d / ``REACH`` apart; if such a level has an error of e metres, the tangent of an elevation seen from the tile has an
+error of at most e / d: ``bound`` is the largest of these over a terrain. Within ``REACH`` samples everything is exact.
 
-Rings depend on the tile they are for and on nothing else, neither on memory nor on the device. Units: samples, metres.
+Rings depend only on their tile, neither on memory nor on the device. Units: samples, metres.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from orograph.hierarchy.clip_stack import ClipStack, Rectangle, Ring
 from orograph.store.terrain import Terrain
 
 REACH = 512
-"""Samples of its own that a ring reaches beyond its tile."""
+"""How far a ring reaches beyond its tile, in its own samples."""
 MISSING = np.float32(-1e30)
 BLOCK = 16
-"""Cells along the side of a block: extremes are known by blocks."""
-_SNAP = 64  # rings but the finest begin and end at multiples of this: neighbouring tiles share them
+"""Cells along the side of a block, the unit of extremes."""
+_SNAP = 64  # all rings except the finest begin and end at multiples of this, so that neighbouring tiles share them
 
 
 def rings(
@@ -37,7 +37,7 @@ def rings(
 
     Args:
         linear: (2, 2) metres east and north per column and per row. radius: R, metres; inf: the whole terrain.
-        reach: samples of its own that a ring reaches beyond the tile.
+        reach: how far a ring reaches beyond the tile, in its own samples.
     """
     rows, cols = terrain.grid.shape
     over, down = cols, rows
@@ -59,7 +59,7 @@ def rings(
             if out:
                 inner = out[-1].around(level)[1 + 2 * axis : 3 + 2 * axis]
                 a, b = min(a, inner[0]), max(b, inner[1] - 1)
-            # Cells are cut along the terrain's diagonals, and the next ring's samples lie on the border.
+            # Cells are cut along the terrain's diagonals, and the next ring's samples are on the border.
             a, b = a // snap * snap, min(-(-b // snap) * snap, most - 1)
             sides += [min(a, max(most - 2, 0) & ~1), b]
         out.append(Rectangle(level, sides[0], sides[1] + 1, sides[2], sides[3] + 1))
@@ -70,7 +70,7 @@ def rings(
 
 
 def bound(terrain: Terrain, radius: float = math.inf, reach: int = REACH) -> float:
-    """By how much the tangent of an elevation may be off, at most, as the ground far away is coarser.
+    """The largest error of the tangent of an elevation that results from coarser ground far away.
 
     Args:
         radius: R, metres.
@@ -88,12 +88,12 @@ def bound(terrain: Terrain, radius: float = math.inf, reach: int = REACH) -> flo
 
 @dataclass(frozen=True, slots=True)
 class Held:
-    """Heights on the device.
+    """Heights in GPU memory.
 
     Attributes:
-        buffer: (rows, cols) float32, ``MISSING`` where there is none. low, high: of those there are, metres; inf and
-            −inf if there are none. blocks: of the samples that each block of ``BLOCK``² cells touches the lowest, the
-            highest and whether any is missing (0 or 1), (3, block rows, block cols).
+        buffer: (rows, cols) float32, ``MISSING`` where there is none. low, high: of valid heights, metres; inf and
+            −inf if there are none. blocks: for each block of ``BLOCK``² cells, its lowest and highest sample, and
+            whether any is missing (0 or 1), (3, block rows, block cols).
     """
 
     buffer: Any
@@ -142,7 +142,7 @@ class Store:
 
 
 def _reduced(values: NDArray[Any], of: np.ufunc) -> NDArray[Any]:
-    """The samples of every block of cells reduced to one, say to the least."""
+    """Reduce the samples of every block of cells to one, for example their minimum."""
     for axis in (0, 1):
         starts = np.arange(0, max(values.shape[axis] - 1, 1), BLOCK)
         inner = of.reduceat(values, starts, axis=axis)

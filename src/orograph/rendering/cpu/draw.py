@@ -66,7 +66,7 @@ def draw(
     """Draw ``scene``. A tile of a view (``View.tile``) is drawn as it is in the whole picture, to the bit.
 
     Args:
-        scene: what is drawn.
+        scene: to draw.
         progress: gets the progress.
         mesh: a tessellation of the scene's terrain to draw, instead of one made by the scene's method.
         memo: results of earlier pictures; pass the same one for all frames of a movie and all tiles of a picture.
@@ -103,7 +103,7 @@ def draw(
     if meshed:
         subject = _meshed(scene, mesh, memo, methods, progress)
         assert subject.mesh is not None
-        if cast is not None:  # (what is drawn from here on has another tolerance than the mesh)
+        if cast is not None:  # (from here on, the tolerance differs from the mesh's)
             cast = partial(_cast_mesh, cast, scene)
         facts["mesh"] = {
             "method": scene.surface.method, "triangles": len(subject.mesh.triangles), **subject.mesh.stats
@@ -138,7 +138,7 @@ class _Clock:
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
-        """Assign the time since the last call to a name."""
+        """Add the time since the last call to a name."""
         now = time.perf_counter()
         self.seconds[name] = round(now - self._last, 4)
         self._last = now
@@ -149,7 +149,7 @@ class _Subject:
     """The subject of a picture.
 
     Attributes:
-        scene: as it is drawn. surface: a mesh's heights, if a mesh is drawn; bare: the scene of the terrain itself.
+        scene: to draw. surface: a mesh's heights, if a mesh is drawn; bare: the scene of the terrain itself.
     """
 
     scene: Scene
@@ -202,7 +202,7 @@ class _Canvas:
         NothingInViewError: no ground is in view.
 
     Attributes:
-        shader: gave the colours. facts: of the picture.
+        shader: of the colours. facts: of the picture.
     """
 
     def __init__(self, subject: _Subject, ground: Ground, memo: Memo, progress: Progress, clock: _Clock) -> None:
@@ -332,7 +332,7 @@ class _Canvas:
 
 
 def session(cast: Cast | None = None) -> Callable[[Scene], Picture]:
-    """Draws scene after scene, and keeps what they share (``memo``). ``cast``: as for ``draw``."""
+    """A drawing function that keeps data shared by consecutive scenes (``memo``). ``cast``: as for ``draw``."""
     memo = Memo()
     return lambda scene: draw(scene, memo=memo, cast=cast)
 
@@ -365,7 +365,7 @@ _ENCODED = np.round(linear_to_srgb(np.linspace(0, 1, 1 << 14)) * 255).astype(np.
 
 
 def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Pixels (height, width) of which a channel differs from a neighbour's by more than ``EDGE``."""
+    """Pixels (height, width) with a channel that differs from a neighbour's by more than ``EDGE``."""
     edges = np.zeros(picture.shape[:2], bool)
     for c in range(3):
         channel = picture[:, :, c].astype(np.int16)
@@ -381,8 +381,11 @@ def find_edges(picture: NDArray[np.uint8]) -> NDArray[np.bool_]:
 def find_depth_edges(
     depth: Array, view: View, wet: NDArray[np.bool_], void_filled: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:  # fmt: skip
-    """Pixels (height, width) at which the ground breaks off (by ``BREAK`` pixel widths along the ray), or where water,
-    a void fill or the terrain begins; depths are NaN where there is no ground."""
+    """Pixels (height, width) at depth edges.
+
+    That is where the ground breaks off (by ``BREAK`` pixel widths along the ray), or where water, a void fill or the
+    terrain begins; depths are NaN where there is no ground.
+    """
     far = np.where(np.isnan(depth), np.inf, depth)
     pixel = np.full((), view.pixel_metres) if view.projection == "plan" else view.pixel_slope * far
     kind = wet.astype(np.int8) + 2 * void_filled + 4 * np.isinf(far)

@@ -2,7 +2,7 @@
 
 Several threads call everything here with blocks of samples. Positions are kept twice: in sample coordinates (for the
 caster and the rasters) and in the terrain's CRS (for drapes). Slopes and normals are those of the stretched ground,
-since light falls on that in the picture; heights stay true.
+because it is lit in the picture; heights stay true.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from orograph.viewpoint import Camera
 Array = NDArray[np.float64]
 
 COARSEST = 1000.0
-"""Tolerance beyond which nothing more is gained, pixels."""
+"""Tolerance beyond which there is no further gain, pixels."""
 
 
 FIXED_MEMORY = 300 << 20
@@ -50,7 +50,7 @@ MEAN_BYTES = 4 * 4 / 3
 """Bytes per sample of means, including the coarser levels around it."""
 
 Cast = Callable[[Scene, "Sequence[Rectangle] | None", Projection], Surface]
-"""Makes the visible surface of a scene: of these windows of heights, or (None) of the mesh that its method makes."""
+"""Makes the visible surface of a scene: from these windows of heights or (None) the mesh of its method."""
 
 LEAST_MEMORY = 24 << 20
 """Bytes of heights that are loaded even if --max-memory leaves no room for them."""
@@ -73,8 +73,10 @@ def budget_of(scene: Scene) -> float:
 
 
 def means_of(scene: Scene, terrain: Terrain) -> ClipStack:
-    """Windows of means about as fine as pixels, outermost first, or as fine as half of the memory for heights
-    allows."""
+    """Windows of means about as fine as pixels, outermost first.
+
+    They are coarser if half of the memory for heights does not suffice.
+    """
     pixels, most = 1.0, budget_of(scene) / 2
     while True:
         found = rectangles(terrain, scene.view.whole, scene.surface.exaggeration, pixels, by="spacing")
@@ -88,8 +90,8 @@ class Ground:
     """The caster and relief a scene needs, loaded within its budget of memory.
 
     Attributes:
-        relief: of the surface that light falls on. drawn: of the surface that rays meet. own: for a mesh with
-            silhouettes, of the terrain itself, whose creases it shows; else as relief.
+        relief: of the lit surface. drawn: of the surface that rays meet. own: for a mesh with silhouettes, of the
+            terrain itself, whose creases it shows; else as relief.
         bare: the scene; for a mesh, that of the terrain itself, whose tint, water and strength of relief it shares.
         under: for a mesh with contour lines, the ground of the terrain itself, to which they belong; else None.
     """
@@ -131,7 +133,7 @@ class Ground:
         return single
 
     def _seen(self, scene: Scene, mesh: Tessellation | None, memo: Memo, cast: Cast | None) -> Surface:
-        """What the camera sees: a mesh's triangles, or the caster's heights, behind patches over missing data."""
+        """The visible surface: a mesh's triangles, or the caster's heights, behind patches over missing data."""
         view, jobs = scene.view.whole, scene.budget.jobs
         projection = Projection.of(Camera(view, scene.terrain.chart, scene.surface.exaggeration))
         seen: Surface
@@ -160,11 +162,11 @@ class Ground:
         """Choose windows that keep the scene's tolerance, or the nearest to it that fits into the allowed memory.
 
         Args:
-            surface: what light meets, if not the terrain itself (on the same grid): the heights of a mesh.
+            surface: the lit surface, if not the terrain itself (on the same grid): the heights of a mesh.
             memo: results of earlier pictures.
             bare: for a mesh, the scene of the terrain itself, to which contour lines belong.
-            mesh: what the camera sees, if not the heights.
-            cast: makes the surface that the camera sees, if it is not made here.
+            mesh: the visible surface, if not the heights.
+            cast: makes the visible surface, if it is not made here.
         """
         memo = Memo() if memo is None else memo
         if bare is not None:
@@ -197,7 +199,7 @@ class Ground:
         rows, cols = terrain.grid.shape
         tolerance, by = scene.pixel_tolerance, "error"
         if scene.annotations.contours is not None and tolerance > 0:
-            if scene.view.projection == "plan":  # in a plan heights only move lines: samples as fine as pixels
+            if scene.view.projection == "plan":  # in a plan, heights only move lines: use samples as fine as pixels
                 tolerance, by = 0.7, "spacing"
             else:
                 tolerance *= scene.annotations.contours.finer(terrain, scene.view.whole, memo)
@@ -226,7 +228,7 @@ class Ground:
         return cosine, tilt
 
     def footprints(self, hits: Hits, px: Array, py: Array) -> tuple[Array, Array]:
-        """The footprint of pixels on the ground (n, 4) and its least width (n,), metres (``kernels.footprints``)."""
+        """The footprint of pixels on the ground (n, 4) and its smallest width (n,), metres (``kernels.footprints``)."""
         n = len(px)
         gradient = self.relief.gradient(hits.points, hits.width)
         slope = np.asarray(gradient, np.float64) @ self.to_world.T
@@ -235,8 +237,10 @@ class Ground:
         return ground, least
 
     def skyline(self, hits: Hits, sun: Sun, which: NDArray[np.int64]) -> Array:
-        """tan of the horizon's angle towards the sun on the stretched ground, clamped just around the sun's disc, for
-        the hits in ``which``."""
+        """Tangent of the horizon's angle towards the sun on the stretched ground, for the hits in ``which``.
+
+        It is clamped just around the sun's disc.
+        """
         radius = sun.diameter / 2
         low = math.tan(math.radians(max(sun.altitude - radius, -89.0)))
         high = math.tan(math.radians(min(sun.altitude + radius, 89.9)))
@@ -246,8 +250,10 @@ class Ground:
         return self.single.skyline(hits.points[which], (step[0], step[1]), skip, low / x, high / x) * x
 
     def skip(self, hits: Hits, which: NDArray[np.int64]) -> Array:
-        """Distance around the hits in ``which`` within which their own facet would shade them and the normal decides
-        instead, metres; a pixel also limits detail."""
+        """Distance around the hits in ``which`` within which their own facet would shade them, metres.
+
+        There, the normal decides instead; a pixel also limits detail.
+        """
         x, y = hits.points[which, 0], hits.points[which, 1]
         facet = np.ones(len(which))
         for r in self.windows:  # the last one that contains a point is the finest there

@@ -1,7 +1,7 @@
-"""The renderer's inner loops over samples: what a pixel covers, how light falls there, what colour results.
+"""The renderer's inner loops over samples: a pixel's footprint, its light, and its colour.
 
-All arrays run over the samples of a block; a sample that met no ground has NaN in its depth and position and is passed
-over. Colours are linear light, float32.
+All arrays run over the samples of a block; a sample that met no ground has NaN in its depth and position and is
+skipped. Colours are linear light, float32.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from orograph._numba import inlined, kernel
 from orograph.rendering.lookup import LEAST, SHORE, bilinear, within_map
 
 GRAZING = 0.02
-"""Cosine of the angle between a ray and the ground's normal below which a pixel's footprint grows no longer."""
+"""Cosine of the angle between a ray and the ground's normal below which a pixel's footprint stops growing."""
 
 
 class Light(NamedTuple):
     """The light of a picture with the light "relief".
 
     Attributes:
-        sun, sky: (3,) colours. bounce: the part of all light that ground sees instead of hidden sky.
+        sun, sky: (3,) colours. bounce: the part of all light that comes from ground in place of hidden sky.
     """
 
     sun: NDArray[np.float32]
@@ -32,9 +32,11 @@ class Light(NamedTuple):
 
 @kernel
 def footprints(px, py, t, pixels, slope, ground, least):
-    """What pixels cover of the ground: ``ground`` (n, 4), metres east and north from where a ray meets it to where the
-    next pixel's to the right (0, 1) and to below (2, 3) meet its tangent plane; ``least`` (n,) metres of a footprint's
-    minor axis, so that ground which is steep in the map does not want endless detail.
+    """The footprints of pixels on the ground.
+
+    ``ground`` (n, 4): metres east and north from where a ray meets the ground to where the rays of the next pixel to
+    the right (0, 1) and below (2, 3) meet its tangent plane. ``least`` (n,): metres of a footprint's minor axis, so
+    that ground which is steep in the map does not need endless detail.
 
     Args:
         pixels: ``PixelRays``; px, py, t: (n,) pixel positions and depths.
@@ -43,7 +45,7 @@ def footprints(px, py, t, pixels, slope, ground, least):
     _, ou, ov, d0, du, dv = pixels.basis
     exaggeration = pixels.exaggeration
     for i in range(len(px)):
-        # In stretched space, where distances are those of the picture.
+        # In stretched space, whose distances are the picture's.
         x = d0[0] + px[i] * du[0] + py[i] * dv[0]
         y = d0[1] + px[i] * du[1] + py[i] * dv[1]
         z = (d0[2] + px[i] * du[2] + py[i] * dv[2]) * exaggeration
@@ -62,7 +64,7 @@ def footprints(px, py, t, pixels, slope, ground, least):
 
 @kernel
 def incidence(gradient, to_world, stretch, sun, cosine, tilt):
-    """Cosine of the light's angle to the normal (not below 0), upward part of the normal, of ``stretch``-ed slopes."""
+    """Cosine of the light's angle to the normal (at least 0), and the normal's upward part, after ``stretch``."""
     for i in range(len(gradient)):
         a, b = gradient[i, 0], gradient[i, 1]
         gx = (to_world[0, 0] * a + to_world[0, 1] * b) * stretch
@@ -74,13 +76,13 @@ def incidence(gradient, to_world, stretch, sun, cosine, tilt):
 
 @kernel
 def _shoulder(x):
-    """Bend what is brighter than 0.82 smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
+    """Bend values above 0.82 smoothly towards 1, so that sunlit snow keeps its relief; linear below."""
     return x if x < 0.82 else 0.82 + 0.18 * (1.0 - np.exp((0.82 - x) / 0.18))
 
 
 @inlined
 def _albedo(height, u, v, water_map, tint, water, drape, i):
-    """The ground's own colour: its tint, under water, under what layers make of both."""
+    """The ground's own colour: its tint, then water, then layers."""
     below = tint.sea.shape[0] > 0 and height < 0.0
     table = tint.sea if below else tint.land
     last = table.shape[0] - 1
@@ -131,11 +133,11 @@ def compose(points, lit, tilt, sky_map, water_map, place, tint, water, drape, li
 
     Args:
         points: (n, 3) sample coordinates and height, metres.
-        lit: (n,) cosine of the sun's angle to the normal, times the part of the sun seen. tilt: as of ``incidence``.
+        lit: (n,) cosine of the sun's angle to the normal, times the visible part of the sun. tilt: from ``incidence``.
         sky_map, water_map: fields over the samples of a ``MapPlace``; water_map is 0.5 on the shore and may have no
             samples.
         tint: ``geovis.color.Tint``. water: (3,) its colour. light: ``Light``.
-        drape: (n, 7) what layers make of tint and water (``geovis.layers.composite``), or (0, 7).
+        drape: (n, 7) layers over tint and water (``geovis.layers.composite``), or (0, 7).
     """
     sunlight, skylight, bounce = light
     for i in range(len(points)):
@@ -146,7 +148,7 @@ def compose(points, lit, tilt, sky_map, water_map, place, tint, water, drape, li
         if sky != sky:
             sky = 1.0
         albedo = _albedo(points[i, 2], u, v, water_map, tint, water, drape, i)
-        # Light from the sky comes from around the zenith: what leans away sees less of it besides its horizon.
+        # Light from the sky comes from around the zenith: inclined ground sees less of it, in addition to its horizon.
         open_sky = sky * (0.5 + 0.5 * tilt[i])
         for c in range(3):
             whole = lit[i] * sunlight[c] + open_sky * skylight[c] + (1.0 - sky) * bounce * (sunlight[c] + skylight[c])

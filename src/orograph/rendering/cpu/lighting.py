@@ -1,9 +1,8 @@
 """Ways of lighting a picture's ground: ambient occlusion, ambient apertures, rays, or none, besides the default.
 
-A ``Lighting`` says how much light falls on hits (irradiance per colour, 1 being what level ground receives that shows
-the map's own colours). What depends on the ground alone comes baked from the store, in windows about as fine as the
-pixels (``lighting.field``); if it is not baked, or heights are stretched, it is swept for the picture on its working
-grid.
+A ``Lighting`` gives the light on hits (irradiance per colour; 1 is that of level ground that shows the map's own
+colours). Light that depends only on the ground comes baked from the store, in windows about as fine as the pixels
+(``lighting.field``); if it is not baked, or heights are stretched, it is swept for the picture on its working grid.
 """
 
 from __future__ import annotations

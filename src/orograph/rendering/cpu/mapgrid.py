@@ -72,9 +72,9 @@ class MapGrid:
 def working_window(terrain: Terrain, points: Array) -> Rectangle:
     """The working grid for ground in view.
 
-    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, since ground there hides
-    the sky too. Its borders lie at multiples of an eighth of its size, so that it mostly stays the same from frame to
-    frame of a movie.
+    It covers points (n, 2 or 3) in sample coordinates and a fifth of their extent around them, because ground there
+    hides the sky too. Its borders lie at multiples of an eighth of its size, so that it mostly stays the same from
+    frame to frame of a movie.
     """
     west, north = np.maximum(points[:, :2].min(0) - 8, 0)
     east, south = points[:, :2].max(0) + 8
@@ -121,8 +121,9 @@ def _water(scene: Scene, ground: Ground, window: Rectangle) -> tuple[NDArray[np.
 
 
 def strength_of(scene: Scene, window: Rectangle) -> float:
-    """The factor on slopes for shading: 1 for rugged ground, more where a small scale or gentle land leaves little to
-    see (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
+    """The factor on slopes for shading: 1 for rugged ground, and more for a small scale or gentle land.
+
+    There, little relief would be visible (cartographers' practice: relief is drawn for its form, Imhof 1965 ch. 8).
 
     Args:
         window: the ground, from ``working_window``.

@@ -1,7 +1,7 @@
 """Marks on the ground: contour lines and their labels (``scene.annotations.contours``).
 
 Lines and labels lie on the ground: haze covers them, and nearer ground hides them. On a mesh they are the terrain's
-own, laid over the mesh, since those of its heights would be as coarse as the mesh.
+own, laid over the mesh, because those of its heights would be as coarse as the mesh.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Lines:
     def _thinned(
         self, hits: Hits, px: Array, py: Array, heights: Array, own: Relief, lines: NDArray[np.intp]
     ) -> Colors:
-        """What remains (m,), 0 to 1, of the lines at the hits ``lines``: less where those around run together."""
+        """The remaining part (m,), 0 to 1, of the lines at the hits ``lines``: less where lines around run together."""
         cover = np.ones(len(lines), np.float32)
         points, width = hits.points[lines], hits.width[lines]
         away = np.zeros((4, *points.shape))

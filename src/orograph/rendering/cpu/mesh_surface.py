@@ -4,12 +4,12 @@ The triangles of a hierarchy of right triangles are unions of the cells' own hal
 interpolated at every sample it covers, and drawn by the finest triangulation, is that coarse triangle again, exactly.
 So the surface of a mesh is a raster of the terrain's own size, and light, shadows and antialiasing need not know about
 meshes. (If the raster is not 2^n + 1 samples a side, triangles squeezed onto its last row and column have slanted
-edges, which are exact only to a cell.)
+edges, which are accurate only to a cell.)
 
 A large terrain's mesh is instead read by windows (``mesh_terrain``), each as coarse as the picture allows.
 
-Samples that no triangle covers keep the terrain's heights: they are out of view and left out by the method, but still
-cast shadows into the picture; holes stay holes.
+Samples that no triangle covers keep the terrain's heights: the method omits them because they are out of view, but
+they still cast shadows into the picture; holes stay holes.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
     """
     choice = mesh_choice(scene.surface.method, "cpu")
     assert choice is not None
-    asked = scene.surface
+    surface = scene.surface
     memo = Memo() if memo is None else memo
-    view = scene.view.whole if asked.mesh_view is None else asked.mesh_view
+    view = scene.view.whole if surface.mesh_view is None else surface.mesh_view
     if view.projection == "plan":
         progress.warn("in a plan heights do not move pixels: the coarsest mesh is as good as any.")
     memory = MEMORY if scene.budget.max_memory is None else scene.budget.max_memory // 2
@@ -60,16 +60,16 @@ def refined(scene: Scene, progress: Progress = SILENT, memo: Memo | None = None)
         mesh: Tessellation = method.select(
             camera, goal_of(scene.surface.tolerance, scene.surface.triangles)
         ).tessellation()
-    if asked.triangles is not None and len(mesh.triangles) > asked.triangles:
+    if surface.triangles is not None and len(mesh.triangles) > surface.triangles:
         progress.warn(
-            f"{asked.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it has "
-            f"{len(mesh.triangles):,}."
+            f"{surface.triangles:,} triangles are not enough for a sound mesh of this view by {choice.info.name}: it "
+            f"has {len(mesh.triangles):,}."
         )
     return mesh
 
 
 def surface_of(tessellation: Tessellation, terrain: Terrain, max_memory: int | None = None) -> Terrain:
-    """The terrain as its tessellation shows it: at full resolution in memory, or, if that is large, by windows.
+    """The terrain as its tessellation represents it: at full resolution in memory or, if that is large, by windows.
 
     Args:
         tessellation: triangles between samples of ``terrain``.

@@ -1,13 +1,13 @@
-"""A tessellation as a terrain that is read by windows: what a mesh of a terrain larger than memory looks like.
+"""A tessellation as a terrain that is read by windows, for meshes of terrains larger than memory.
 
-A window of level k holds the mesh's heights at every 2^k-th sample. Drawn by windows that show the *terrain* within
-some pixels (``raycast.select``), the mesh is shown within as many: take half a cell of level k. If the mesh does not
-split it, it is one of the hierarchy's triangles or part of a larger one, and the mesh is linear there. If the mesh
-splits it, its corners are vertices of the mesh, which are samples of the terrain, and so are all vertices within; what
-the window leaves out of the mesh is what it leaves out of the terrain at some of its samples. (To a cell along the last
-row and column of a raster that is not 2^n + 1 samples a side, as in ``surface``.)
+A window of level k holds the mesh's heights at every 2^k-th sample. If it is drawn by windows that show the *terrain*
+within some pixels (``raycast.select``), the mesh is shown within the same number: consider half a cell of level k. If
+the mesh does not split it, it is one of the hierarchy's triangles or part of a larger one, and the mesh is linear
+there. If the mesh splits it, its corners are vertices of the mesh, which are samples of the terrain, and so are all
+vertices inside; the window's error from the mesh is then its error from the terrain at some of its samples. (This is
+accurate to a cell along the last row and column of a raster that is not 2^n + 1 samples a side, as in ``surface``.)
 
-Where no triangle is, heights are the terrain's: ground out of view, and holes. Heights in metres.
+Where there is no triangle, heights are the terrain's: ground out of view, and holes. Heights in metres.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ STRIP = 1 << 21
 """Samples that are read at a time for means."""
 
 EDGE = 1e-12
-"""Barycentric coordinates that rounding may put a sample on an edge beyond it by."""
+"""Tolerance of barycentric coordinates for a sample that rounding puts beyond an edge."""
 
 QUARTERS = 2
-"""Means of level k are made of samples of level k − 2, five each way and weighted as the trapezoid rule has it."""
+"""Means of level k use samples of level k − 2, five along each axis with the weights of the trapezoid rule."""
 
 
 class MeshTerrain(Terrain):
@@ -39,7 +39,7 @@ class MeshTerrain(Terrain):
 
     Args:
         tessellation: triangles between samples of the terrain.
-        terrain: what it is a mesh of.
+        terrain: of the mesh.
     """
 
     def __init__(self, tessellation: Tessellation, terrain: Terrain) -> None:
@@ -74,15 +74,15 @@ class MeshTerrain(Terrain):
         return means
 
     def _means(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
-        """``read_mean`` of a strip, for which finer samples are read."""
+        """``read_mean`` of a strip, from finer samples."""
         down = min(level, QUARTERS)
         times, finer = 1 << down, level - down
-        # The last block of a side that ends early has fewer samples: those repeated beyond the raster do not count.
+        # The last block of a side may have fewer samples: those repeated beyond the raster do not count.
         rows, cols = (-(-side >> finer) for side in self.grid.shape)
         r1, c1 = min(row1 * times + 1, rows), min(col1 * times + 1, cols)
         part = self.read(finer, row0 * times, r1, col0 * times, c1)
         weights = np.ones(times + 1)
-        # (Up to level 2 the samples are the raster's own, and the next block's are not among them.)
+        # (Up to level 2 the samples are the raster's own, without the next block's.)
         weights[[0, -1]] = (0.5, 0.5) if finer else (1.0, 0.0)
         shape = row1 - row0, col1 - col0
         total, weight = np.zeros(shape), np.zeros(shape)
@@ -103,7 +103,7 @@ class MeshTerrain(Terrain):
 
     @cached_property
     def _extremes(self) -> list[tuple[Heights, Heights]]:
-        """Lowest and highest height by tile of each level: a large triangle may leave those of the ground below."""
+        """Lowest and highest height by tile of each level: a large triangle may exceed those of the ground below."""
         table = self.terrain.tiles(0)
         low, high = table.minimum.copy(), table.maximum.copy()
         widen(self._vertices, self._triangles, low, high)
@@ -120,7 +120,9 @@ def interpolate(
     vertices: Corners, triangles: NDArray[np.int32], level: int, row0: int, col0: int, rows: int, cols: int,
     heights: Heights,
 ) -> None:  # fmt: skip
-    """Interpolate triangles at the samples of a window that they cover; at a vertex on a sample, its height to the bit.
+    """Interpolate triangles at the samples of a window that they cover.
+
+    A vertex on a sample gives its height to the bit.
 
     Args:
         vertices: (n, 3) float64, column, row, height in metres.
@@ -158,15 +160,17 @@ def interpolate(
 
 @kernel
 def _span(low: float, high: float, step: int, first: int, side: int, count: int) -> tuple[int, int]:
-    """The first and the last place, in a window that begins with sample ``first``, of samples from low to high."""
+    """The first and the last index of samples from low to high, in a window that begins with sample ``first``."""
     begin, end = max(int(np.ceil(low / step)) - first, 0), min(int(np.floor(high / step)) - first, count - 1)
     return begin, count - 1 if high >= side - 1 else end  # the last sample repeats the raster's last one
 
 
 @kernel
 def widen(vertices: Corners, triangles: NDArray[np.int32], low: Heights, high: Heights) -> None:
-    """Widen the lowest and highest heights of tiles of 256 × 256 cells, (tile rows, tile cols) float32, to hold all of
-    the triangles over them."""
+    """Widen the lowest and highest heights of tiles to hold all triangles over them.
+
+    Tiles have 256 × 256 cells; the heights are (tile rows, tile cols) float32.
+    """
     for k in range(len(triangles)):
         p, q, r = triangles[k, 0], triangles[k, 1], triangles[k, 2]
         z0 = np.float32(min(vertices[p, 2], vertices[q, 2], vertices[r, 2]))

@@ -1,9 +1,9 @@
 """A triangle rasteriser: shows a mesh as a camera sees it, including holes, cracks and T-junctions.
 
-Vertices may lie anywhere, on samples of the terrain or between, triangles may overlap and face either way. The mesh is
+Vertices may lie anywhere, on samples of the terrain or between; triangles may overlap and face either way. The mesh is
 projected and sorted by tiles of the picture once (``raster_setup``); then any area and any position is drawn from its
-tiles alone (``raster_scan``), tiles over threads. Which triangle a sample shows depends only on the mesh and the
-camera: areas, tiles and threads change no bit.
+tiles alone (``raster_scan``), tiles over threads. The triangle that a sample shows depends only on the mesh and the
+camera: areas, tiles and threads make no difference to the bit.
 """
 
 from __future__ import annotations

@@ -3,11 +3,11 @@
 A sample is inside a triangle if it is inside its three edges (Pineda 1988, *A parallel algorithm for polygon
 rasterization*); on an edge, it belongs to the triangle if that edge is a top or a left one. Corners and samples lie on
 the lattice of ``raster_setup`` and edge functions are exact, so triangles that share an edge cover every sample once:
-no gap, no double hit, and where corners do not meet, the gap that there is.
+no gap, no double hit; and if corners do not meet, exactly the gap between them.
 
-Depth is that of the sample's ray and the triangle's own plane in sample coordinates, in float64, whatever was snapped
-or cut; a sample that only snapping brought inside gets no depth beyond those of the corners. The nearest triangle wins,
-of equally near ones that with the lower index: no order of drawing matters.
+Depth is that of the sample's ray and the triangle's own plane in sample coordinates, in float64, regardless of snapping
+and cutting; a sample that is inside only because of snapping gets no depth beyond those of the corners. The nearest
+triangle wins, and of equally near ones that with the lower index: the order of drawing does not matter.
 """
 
 from __future__ import annotations
@@ -30,8 +30,11 @@ def edge(px, py, qx, qy, x, y):
 
 @leaf
 def plane_of(camera, mesh, triangle):
-    """(a, b, c, nearest, farthest): a·x + b·y + c is 1/depth at pixel position (x, y) in perspective, in a plan depth;
-    and the depths of the nearest and farthest corner."""
+    """(a, b, c, nearest, farthest) of a triangle.
+
+    a·x + b·y + c is 1/depth at pixel position (x, y) in perspective, and depth in a plan; nearest and farthest are the
+    depths of its corners.
+    """
     i, j, k = mesh.triangles[triangle, 0], mesh.triangles[triangle, 1], mesh.triangles[triangle, 2]
     p, q, r, o = mesh.vertices[i], mesh.vertices[j], mesh.vertices[k], camera.o
     ex, ey, ez = q[0] - p[0], q[1] - p[1], q[2] - p[2]
@@ -56,7 +59,7 @@ def depth_at(plane, perspective, x, y):
     t = a * x + (b * y + c)
     if perspective:
         t = 1.0 / t
-    if not t >= nearest:  # true for NaN, of a triangle seen edge-on
+    if not t >= nearest:  # true for NaN, for a triangle seen edge-on
         return nearest
     return min(t, farthest)
 
@@ -107,8 +110,11 @@ def draw_tile(camera, mesh, numbers, left, right, top, bottom, depth, objects):
 
 @kernel
 def sort_by_pixel(level, left, top, px, py, order, starts):
-    """Sort positions in the tile of 2^``level`` pixels at pixel (left, top) by pixel, row by row: ``order`` (n,) of
-    positions, of which pixel k has [starts[k], starts[k + 1]); counting sort."""
+    """Sort positions in a tile by pixel, row by row, with a counting sort.
+
+    The tile has 2^``level`` pixels a side and begins at pixel (left, top). ``order`` (n,) lists positions, of which
+    pixel k has [starts[k], starts[k + 1]).
+    """
     starts[:] = 0
     for i in range(len(px)):
         starts[((np.int64(py[i]) - top) << level) + np.int64(px[i]) - left + 1] += 1

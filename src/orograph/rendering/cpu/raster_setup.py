@@ -1,6 +1,6 @@
 """From a mesh to triangles sorted by tiles of the picture: the rasteriser's first half.
 
-Vertices are projected once and snapped to a lattice of 1/4096 pixel, on which all that follows is exact (int64). A
+Vertices are projected once and snapped to a lattice of 1/4096 pixel, on which all further steps are exact (int64). A
 triangle that comes too near to the eye's plane, or reaches farther than ``GUARD`` pixels from the picture, is cut into
 *pieces* first (Sutherland & Hodgman 1974, *Reentrant polygon clipping*; homogeneous, Blinn & Newell 1978). New corners
 are computed from an edge's inner end to its outer one, so both triangles at an edge get the same. Triangles and pieces
@@ -20,7 +20,7 @@ from orograph._numba import kernel, leaf
 from orograph.rendering.projection import Projection
 
 BITS = 12
-"""Of a fixed coordinate behind the point."""
+"""Fractional bits of a fixed coordinate."""
 
 ONE = 1 << BITS
 
@@ -68,7 +68,7 @@ class Mesh(NamedTuple):
     Attributes:
         vertices: (n, 3) float64, sample coordinates. triangles: (m, 3) int32.
         screen: (n, 2) int32, fixed; x = ``UNPLACED`` for vertices without a place. depth: (n,) float64.
-        pieces: (k, 3, 2) int32, fixed. owners: (k,) int32, the triangles that the pieces are of.
+        pieces: (k, 3, 2) int32, fixed. owners: (k,) int32, the triangles that the pieces belong to.
     """
 
     vertices: NDArray[np.float64]
@@ -101,7 +101,7 @@ def homogeneous(camera, vertices, i):
 
 @kernel
 def project(camera, vertices, first, last, screen, depth):
-    """Places of the vertices [first, last) in the picture, ``screen`` and ``depth`` of ``Mesh``; how many have none."""
+    """Project the vertices [first, last) into ``screen`` and ``depth`` of ``Mesh``; returns how many have no place."""
     unplaced = 0
     for i in range(first, last):
         x, y, t = homogeneous(camera, vertices, i)
@@ -144,7 +144,7 @@ def find_unplaced(camera, mesh, first, last, out):
 
 @leaf
 def inner_distance(camera, p, plane):
-    """How far inside a clipping plane a homogeneous point (3,) lies: 0 the eye's, 1 to 4 the guard band's."""
+    """How far a homogeneous point (3,) lies inside a clipping plane: 0 the eye's, 1 to 4 the guard band's."""
     if plane == 0:
         return p[2] - camera.clip
     far = GUARD * (p[2] if camera.perspective else 1.0)
@@ -212,8 +212,10 @@ def cut_triangles(camera, mesh, chosen, pieces, owners):
 
 @leaf
 def corners_of(mesh, number):
-    """(ax, ay, bx, by, cx, cy), int64 fixed, of a triangle or piece, turned so that its area is not negative; and that
-    area, doubled: 0 for what has none, or has no place."""
+    """The corners of a triangle or piece, oriented so that its area is not negative, and twice that area.
+
+    (ax, ay, bx, by, cx, cy) are int64, fixed. The area is 0 for triangles without area or place.
+    """
     if number >= 0:
         i, j, k = mesh.triangles[number, 0], mesh.triangles[number, 1], mesh.triangles[number, 2]
         s = mesh.screen
@@ -246,7 +248,7 @@ def sort_into_tiles(mesh, tiling, first, last, cursors, numbers, write):
     """Count the triangles [first, last) (negative: pieces) by tile in ``cursors``, or write them to ``numbers``.
 
     Args:
-        cursors: (tiles,) int64: gets the counts; or where each tile's next number is written, and is moved on.
+        cursors: (tiles,) int64: receives the counts; or the position of each tile's next number, which is advanced.
         numbers: int32.
     """
     shift = BITS + tiling.level

@@ -1,9 +1,9 @@
-"""From what is known at a point of the ground to the colour of a pixel.
+"""From the data at a point of the ground to the colour of a pixel.
 
-Light is a warm disc of sun, cut by the skyline (soft shadows), and blue light from as much of the sky as the place sees
-(sky-view factor by horizon sweeps). Level ground in full sun shows the map's own colour: tints can be read off the
-legend there (but for the brightest, which ``_shoulder`` in ``kernels`` bends). Water, missing data and background are
-each told apart. Colours are linear light throughout.
+Light is a warm disc of sun, cut by the skyline (soft shadows), and blue light from the visible part of the sky
+(sky-view factor by horizon sweeps). Level ground in full sun shows the map's own colour, so tints can be compared with
+the legend there (except for the brightest, which ``_shoulder`` in ``kernels`` bends). Water, missing data and
+background are distinct. Colours are linear light throughout.
 """
 
 from __future__ import annotations
@@ -46,8 +46,10 @@ SMOOTH = 0.5
 def drapes_of(
     scene: Scene, ground: Ground, survey: Survey, memo: Memo, progress: Progress
 ) -> list[tuple[Layer, Drape]]:  # fmt: skip
-    """The layers that can be seen and what is held of them, bottom to top, ready for what the picture looks up;
-    warnings are told once."""
+    """The visible layers with their loaded data, bottom to top, ready for look-ups by the picture.
+
+    Warnings are given once.
+    """
     layers = drawn(scene.data.layers)
     if not layers:
         return []
@@ -56,14 +58,14 @@ def drapes_of(
 
     terrain, view = scene.terrain, scene.view.whole
     grid = terrain.grid
-    # Half of what the nearest ground wants that some rays have met: others may meet nearer ground.
+    # Half the spacing that the nearest of some hits needs: other rays may meet nearer ground.
     pixel = view.pixel_metres if view.projection == "plan" else view.pixel_slope * survey.range[0]
     metres = 0.5 * LEAST * pixel
     metres = 2.0 ** math.floor(math.log2(metres)) if metres > 0 else 0.0  # the same for all frames of a slow flight
     memory = None if scene.budget.max_memory is None else scene.budget.max_memory // len(layers)
 
     def held(layer: Layer) -> Drape:
-        """What is held of a layer: the same for all frames that want no finer of it, or read it where they look."""
+        """The loaded data of a layer: the same for all frames that need it no finer, or that read it on demand."""
         content = layer.content
         laid = memo("laid", content, lambda: Laid.open(content, grid), terrain, MOST)
         plan = Drape.plan(laid, memory, metres)
@@ -89,8 +91,8 @@ class Shader:
     """Colours samples of one scene.
 
     Attributes:
-        shown: pixel centres coloured so far: "ground", of it "draped" (mostly covered by layers) and "water" (that is
-            not), and "missing".
+        shown: pixel centres coloured so far: "ground", of which "draped" (mostly covered by layers) and "water" (the
+            rest of it), and "missing".
     """
 
     def __init__(self, scene: Scene, ground: Ground, survey: Survey, memo: Memo, progress: Progress = SILENT) -> None:
@@ -132,7 +134,7 @@ class Shader:
 
     @property
     def smooth(self) -> bool:
-        """Whether colours only change fast where the ground in view does, or from land to water."""
+        """Whether colours change fast only where the ground in view does, or from land to water."""
         if self.lines is not None:
             return False
         return not self.drapes and self.lighting is not None and self.lighting.smooth
@@ -143,7 +145,7 @@ class Shader:
     ) -> Colors:  # fmt: skip
         """Linear colours (n, 3) of the samples in ``hits`` at pixel positions px, py (n,).
 
-        ``counted`` (n,): which of them go into ``shown``; None: none. ``wet`` (n,): gets which of them are water.
+        ``counted`` (n,): which of them count for ``shown``; None: none. ``wet`` (n,): receives which of them are water.
         """
         out = np.empty((len(hits.t), 3), np.float32)
         missed = np.flatnonzero(np.isnan(hits.t))
@@ -206,7 +208,7 @@ class Shader:
         )  # fmt: skip
 
     def _wet(self, points: Array) -> NDArray[np.bool_]:
-        """Which points (n, 3) lie on samples of water."""
+        """Which points (n, 3) are nearest to samples of water."""
         maps = self.maps
         if not maps.water.size:
             return np.zeros(len(points), bool)
@@ -223,7 +225,7 @@ class Shader:
                 self.shown[name] += n
 
     def draped(self, hits: Hits, px: Array, py: Array) -> Colors:
-        """What the layers make of the ground's own colours (n, 7), see ``geovis.layers.composite``."""
+        """The layers over the ground's own colours (n, 7), see ``geovis.layers.composite``."""
         x, y = self.scene.terrain.grid.xy(hits.points[:, 0], hits.points[:, 1])
         ground, least = self.ground.footprints(hits, px, py)
         stack = nothing_over(len(x))
@@ -232,7 +234,7 @@ class Shader:
         return stack
 
     def background(self, directions: Array, px: Array, py: Array) -> Colors:
-        """What is seen where no ground is, in directions (n, 3) and at pixel positions (n,)."""
+        """The colours without ground, in directions (n, 3) and at pixel positions (n,)."""
         if self.air is not None:
             return dithered(self.air.sky(directions), px, py)
         return np.broadcast_to(PAPER, (len(directions), 3)).astype(np.float32)

@@ -4,10 +4,10 @@ A line's coverage of a pixel is that of a box of the line's width, from the dist
 line: lines have the same width everywhere, whatever their direction. Where lines meet, the darker one counts, so joints
 are no darker than lines. They fade with depth, as ridges do in haze.
 
-Lines lie on the surface that is drawn, so their depth equals the picture's but for what the surface turns away within a
-pixel. A point of a line is hidden if it lies behind all four pixel centres around it: that tolerance is as large as the
-surface is steep there, neither more (hidden lines would show through) nor less (visible ones would be stitched); a
-line just behind a ridge may show for a pixel.
+Lines lie on the drawn surface, so their depth equals the picture's except for the surface's slope within a pixel. A
+point of a line is hidden if it lies behind all four pixel centres around it: that tolerance is as large as the surface
+is steep there, neither more (hidden lines would show through) nor less (visible ones would be broken); a line just
+behind a ridge may show for a pixel.
 
 Units: pixels; depth in metres along the viewing direction, as in the picture.
 """
@@ -35,7 +35,8 @@ FADE, FADED = 6.0, 0.5
 """Ground this many times as far away as the nearest has lines of this part of their opacity."""
 
 WIDTH = 1.0
-"""Of a line in a picture whose shorter side has up to ``USUAL`` pixels; larger pictures, for print, have wider ones."""
+"""Width of a line in a picture whose shorter side has up to ``USUAL`` pixels; larger pictures, for print, have wider
+ones."""
 
 USUAL = 900
 
@@ -43,7 +44,7 @@ DENSE, FAINT = 5.0, 0.3
 """Lines between triangles less than this many pixels high would make one dark area: they are fainter, down to FAINT."""
 
 SPARED = 0.85
-"""The part of lines that is left out where labels stand."""
+"""The part of lines that is omitted where labels are."""
 
 BANDS = 16
 
@@ -63,7 +64,7 @@ def draw_edges(
     """Draw a tessellation's edges over a picture.
 
     Args:
-        linear: (height, width, 3) float32, linear light; drawn upon.
+        linear: (height, width, 3) float32, linear light; changed.
         depth: (height, width) of the surface at pixel centres, NaN where no ground is.
         grid, view: of the terrain and of the picture.
         exaggeration: as the picture's.
@@ -104,8 +105,8 @@ def edges_of(triangles: NDArray[np.int32], room: Array) -> tuple[NDArray[np.int6
 def project(positions: Array, triangles: NDArray[np.int32], view: View, exaggeration: float = 1.0) -> Array:
     """The edges of triangles on the screen: (k, 7) float64, pixel x, y and q of both ends, and a strength in 0 to 1.
 
-    q is linear along a line on the screen: 1/depth in perspective, depth itself in a plan. What lies before the near
-    plane is cut off; edges wholly before it, or beyond one side of the picture, are left out.
+    q is linear along a line on the screen: 1/depth in perspective, depth itself in a plan. Edges are cut at the near
+    plane; those wholly in front of it, or beyond one side of the picture, are left out.
 
     Args:
         positions: (n, 3) true places in the view's CRS, metres. triangles: (m, 3) indices.
@@ -140,7 +141,7 @@ def project(positions: Array, triangles: NDArray[np.int32], view: View, exaggera
 
 
 def heights(corners: Array) -> Array:
-    """Of triangles (m, 3, 2) over their longest sides, (m,)."""
+    """The heights of triangles (m, 3, 2) over their longest sides, (m,)."""
     sides = np.roll(corners, -1, axis=1) - corners
     longest = np.sqrt((sides**2).sum(-1)).max(-1)
     area = np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
@@ -177,7 +178,7 @@ def draw_lines(
             continue
         strength = ends[k, 6]
         steep = abs(dy) > abs(dx)
-        # Along its longer axis pixel by pixel, and across it as far as the line reaches.
+        # Go pixel by pixel along its longer axis, and across it as far as the line reaches.
         p, d, o, e = (y0, dy, x0, dx) if steep else (x0, dx, y0, dy)
         slope = e / d if d != 0.0 else 0.0
         wide = reach * math.sqrt(1.0 + slope * slope)
