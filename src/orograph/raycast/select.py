@@ -103,6 +103,15 @@ def moved(terrain: Terrain, view: View, exaggeration: float, error: Array, boxes
     return np.where(error > 0, found, 0.0)
 
 
+def spacing_error(terrain: Terrain, view: View, exaggeration: float, level: int, boxes: Boxes) -> Array:
+    """Samples of ``level`` in pixels (at most): above 1 they can be drawn finer."""
+    spacing = max(terrain.grid.spacing) * 2.0**level
+    if view.projection == "plan":
+        return np.full(boxes.low.shape, spacing / view.pixel_metres)
+    d = np.maximum(distances(terrain, view, exaggeration, boxes), max(view.near, 1e-9))
+    return spacing / view.pixel_slope / d
+
+
 def rectangles(terrain: Terrain, view: View, exaggeration: float, tolerance: float, *, by: str = "error") -> ClipStack:
     """The windows a view needs, outermost first; the outermost covers the whole terrain at its coarsest level.
 
