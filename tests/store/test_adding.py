@@ -34,6 +34,11 @@ def built(heights: np.ndarray, place: Path, **options: Any) -> Path:
     return place
 
 
+def samples(store: Path) -> dict[str, str]:
+    """Digests of its shards."""
+    return {key: digest for key, digest in objects(store).items() if not key.endswith("zarr.json")}
+
+
 NEEDS = [
     {"tins": 8}, {"quadtin": (0, "nearest")}, {"chunked": (16, 0)}, {"errors": "wedgie"},
     {"tins": 4, "chunked": (16, 0, True), "errors": ("exact", "wedgie")},
@@ -43,14 +48,16 @@ NEEDS = [
 @pytest.mark.parametrize("needs", NEEDS, ids=lambda needs: "-".join(needs))
 def test_what_is_added_is_what_a_new_build_makes(heights: np.ndarray, needs: dict[str, Any], tmp_path: Path) -> None:
     place = built(heights, tmp_path / "a.oro")
+    before = samples(place)
     orograph.build(place, place, progress=False, **needs).close()
+    assert before.items() <= samples(place).items()
     whole = {**needs, "errors": ("exact", *np.atleast_1d(needs.get("errors", ())))}
     assert objects(place) == objects(built(heights, tmp_path / "b.oro", **whole))
     assert not (place / "parts").exists()
-    before = (place / "zarr.json").stat().st_mtime_ns
+    written = (place / "zarr.json").stat().st_mtime_ns
     with orograph.open(place) as terrain:
         orograph.build(terrain, terrain.url, progress=False, **needs).close()  # nothing is lacking
-    assert (place / "zarr.json").stat().st_mtime_ns == before
+    assert (place / "zarr.json").stat().st_mtime_ns == written
 
 
 class Stopped(Exception):
@@ -97,6 +104,7 @@ def test_what_cannot_be_added(heights: np.ndarray, tmp_path: Path) -> None:
     for options, words in (
         ({"tins": 8}, "`tins` of 4, not of 8.*overwrite"), ({"max_error": 0.1}, "A store is there already"),
         ({"workers": 2, "chunked": (16, 0)}, "A cluster cannot add"), ({"crs": "EPSG:32610"}, "already built"),
+        ({"keep": 3, "chunked": (16, 0)}, "keep"),
     ):  # fmt: skip
         with pytest.raises(OrographError, match=words):
             orograph.build(place, place, progress=False, **options)
@@ -141,8 +149,9 @@ def test_a_copy_says_that_it_lacks_the_original_samples(tmp_path: Path) -> None:
                        transform=Affine(1 / 1200, 0, -84, 0, -1 / 1200, 36)) as file:  # fmt: skip
         file.write(np.float32(np.add.outer(x, 2 * x)), 1)
     orograph.build(path, tmp_path / "a.oro", progress=False).close()
-    with pytest.warns(UserWarning, match="are not copied, only the heights of its surface"):
-        orograph.build(tmp_path / "a.oro", tmp_path / "b.oro").close()
+    for name, area in (("b.oro", None), ("c.oro", (-84.0, 35.96, -83.97, 36.0))):
+        with pytest.warns(UserWarning, match="are not copied, only the heights of its surface"):
+            orograph.build(tmp_path / "a.oro", tmp_path / name, bbox=area).close()
     with orograph.build(tmp_path / "a.oro", tmp_path / "a.oro", tins=4, progress=False) as itself:
         assert itself.samples is not None
 

@@ -162,7 +162,7 @@ def test_a_person_explores_a_cell(page):
     page.evaluate("window.prompt_timer = setTimeout; setTimeout = (f, ms) => prompt_timer(f, ms + 300)")
     page.mouse.down()
     page.mouse.move(x + 400, y + 260, steps=6)
-    page.mouse.up()  # before the moves, which wait for a timer, are told
+    page.mouse.up()  # the moves still wait for their timer
     page.evaluate("setTimeout = prompt_timer")
     panned = rested(page)
     assert panned["eye"][2] == pytest.approx(home["eye"][2], abs=1.0)

@@ -62,9 +62,8 @@ def _world_files(dataset: Any, name: str) -> list[str]:
             a, d, b, e, x, y = map(float, file.read_text().replace(",", ".").split()[:6])
         except (OSError, ValueError):  # missing or empty
             continue
-        world = Affine(
-            a, b, x - (a + b) / 2, d, e, y - (d + e) / 2
-        )  # a world file gives the centre of the first sample
+        # A world file gives the centre of the first sample.
+        world = Affine(a, b, x - (a + b) / 2, d, e, y - (d + e) / 2)
         off = max(_apart(world, place, corner) for corner in ((0, 0), (dataset.width, dataset.height)))
         if not off <= _WORLD_APART * _step(place):
             found.append(

@@ -139,9 +139,7 @@ class Source:
         location = locate(path)
         if is_virtual(location):
             forget_parts()
-        HANDLES.close(
-            location
-        )  # companions, or a VRT's parts, may have changed, which an open dataset would not notice
+        HANDLES.close(location)  # an open dataset would not notice that companions or a VRT's parts have changed
         opened = [Seen([location])]
         warnings: list[str] = []
         with HANDLES.borrow(location) as dataset:
@@ -210,10 +208,8 @@ class Source:
 
     @property
     def code(self) -> tuple[str, float]:
-        """(dtype, nodata) of its numbers if these are heights themselves; else ("float32", nan), as they are read.
-
-        They are heights if they are whole metres of 8 or 16 bits, and a nodata value marks missing ones.
-        """
+        """(dtype, nodata) of its numbers if they are whole metres of 8 or 16 bits and a nodata value marks missing
+        ones; else ("float32", nan), which is what ``read`` returns."""
         plain = (self.scale, self.offset, self.unit_factor, self.encoding, self.valid) == (1.0, 0.0, 1.0, None, None)
         if plain and self.nodata is not None and self.dtype in ("int8", "uint8", "int16", "uint16"):
             limits = np.iinfo(self.dtype)

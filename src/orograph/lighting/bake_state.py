@@ -93,9 +93,8 @@ def recipe_of(
         folder: None: the store's bucket. named, options, layers, plan: as for the recipe.
         shard: samples along the sides of the store's shards. memory: bytes for each task, if they suffice.
     """
-    bands = sum(len(layer.bands) for layer in layers) + 2 * len(
-        layers
-    )  # sums may be larger than the values that follow from them
+    # Sums may be larger than the values that follow from them.
+    bands = sum(len(layer.bands) for layer in layers) + 2 * len(layers)
     needed = SWEEP + 3 * 4 * bands * shard * shard
     at = "" if folder is None else str(folder.path.absolute())
     return BakeRecipe(named, at, options, layers, plan, max(needed, memory - BASE), BASE)

@@ -269,9 +269,8 @@ def look(pyramid, ox, oy, height, stretch, least, stop, window, out):
     z = pyramid.z
     row0, row1, col0, col1 = window
     eye = 0.0
-    before = np.full(
-        col1 - col0 + 1, INF
-    )  # distance from the eye of the ground that hides the samples above; shifted by one
+    # The distance from the eye to the ground that hides the samples above, shifted by one.
+    before = np.full(col1 - col0 + 1, INF)
     for i in range(row0, row1):
         for j in range(col0, col1):
             k = j - col0 + 1

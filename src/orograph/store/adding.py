@@ -1,7 +1,8 @@
-"""Adding to a complete store what methods need of it: what a build of a store from itself does.
+"""Adds what methods need to a complete store. ``build`` does this when a store is its own source.
 
-Heights and all that is there stay as they are. New arrays are written beside them, and last the root that lists them.
-Until then the store is what it was; an interrupted run leaves results in ``parts/``, from which the same call goes on.
+Heights and everything else in the store stay as they are. New arrays are written beside them, and last the root that
+lists them. Until then readers see the old store. An interrupted run leaves results in ``parts/``, from which the same
+call continues.
 """
 
 from __future__ import annotations
@@ -28,11 +29,11 @@ from orograph.store.updating import ALL_AGAIN
 from orograph.store.writer import ShardWriter
 
 ASKED = f"{PARTS}/asked.json"
-"""What the results in ``parts/`` are for."""
+"""The request that the results in ``parts/`` belong to."""
 
 
 class Needs(NamedTuple):
-    """Data that methods need of a store, as for ``build``."""
+    """Data that methods need; arguments of ``build``."""
 
     errors: tuple[ErrorKind, ...]
     tins: int | None
@@ -41,7 +42,7 @@ class Needs(NamedTuple):
 
 
 def is_itself(raster: HeightSource, storage: Storage) -> bool:
-    """Whether heights are those of the store at this place."""
+    """Whether a source reads the store at this place."""
     if not isinstance(raster, StoreSource):
         return False
     other = raster.terrain.storage

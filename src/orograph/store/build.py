@@ -31,7 +31,7 @@ from orograph.store.bucket import BucketStorage
 from orograph.store.chunked import Kind, checked_kind
 from orograph.store.coding import CODECS, Coding, coding_of
 from orograph.store.executing import Executor
-from orograph.store.given import source_of
+from orograph.store.given import source_of, stores_in
 from orograph.store.inputs import inputs_of
 from orograph.store.lattices import LatticeRecord
 from orograph.store.layout import CHUNK, Record, dumps
@@ -41,7 +41,7 @@ from orograph.store.memory import MemoryTerrain, check_metric
 from orograph.store.places import PARTS, PLAN, ROOT, begun, is_store, partial, publish
 from orograph.store.plan import check_replaceable, compared, plan_for
 from orograph.store.quadtin_kind import checked_quadtin
-from orograph.store.source import ArraySource, HeightSource, StoreSource
+from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Samples, Shape, level_count, level_shape
@@ -196,6 +196,7 @@ def build(
     check_metric(raster.grid, raster.name)
     if (check_void := getattr(raster, "check_void", None)) is not None:
         check_void()
+    versions = check_keep(keep, update, final)
     itself = is_itself(raster, final) and not (overwrite or update or finish or part)
     if itself and coding_of(raster, codec, max_error) is None:
         if workers is not None or dask is not None:
@@ -203,12 +204,12 @@ def build(
         jobs = sizes(raster.grid.shape, max_memory, jobs, read_record(final).shard, len(kinds))[1]
         add(final, Needs(kinds, tins, chunked, quadtin), jobs, progress)
         return open(url, storage_options=storage_options)
-    if isinstance(raster, StoreSource) and raster.terrain.samples is not None:
-        progress.warn(
-            f"{raster.name}: the samples or points from which it was built are not copied, only the heights of its "
-            "surface. To keep those, build from the files."
-        )
-    versions = check_keep(keep, update, final)
+    for store in stores_in(raster):
+        if store.samples is not None:
+            progress.warn(
+                f"{store.name}: the samples or points from which it was built are not copied, only the heights of its "
+                "surface. To keep those, build from the files."
+            )
     if update:
         from orograph.store.bucket_updates import BucketUpdate
         from orograph.store.updating import ALL_AGAIN, begin, check_updatable

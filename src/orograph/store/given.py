@@ -193,11 +193,22 @@ def _asked(name: str, value: Any) -> bool:
     return bool(value != {"band": 1, "resampling": "bilinear"}.get(name))
 
 
-def _of_store(path: str, said: dict[str, Any]) -> HeightSource:
+def _of_store(path: str, reading: dict[str, Any]) -> HeightSource:
     """The full resolution of the store at a path or URL, or the part of it in an area."""
-    asked = {k: v for k, v in said.items() if _asked(k, v)}
-    area = _fitting(asked, OF_AREAS, "a store, which is already built and describes itself")
+    area = _fitting(
+        {k: v for k, v in reading.items() if _asked(k, v)},
+        OF_AREAS,
+        "a store, which is already built and describes itself",
+    )
     return _part(StoreSource(open(path)), area)
+
+
+def stores_in(source: HeightSource) -> list[StoredTerrain]:
+    """The stores that a source reads."""
+    from orograph.dem.area import Cut
+
+    parts = [part.raster if isinstance(part, Cut) else part for part in (source, *getattr(source, "sources", ()))]
+    return [part.terrain for part in parts if isinstance(part, StoreSource)]
 
 
 def source_of_terrain(terrain: MemoryTerrain | StoredTerrain) -> HeightSource:

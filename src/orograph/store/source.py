@@ -84,7 +84,7 @@ class StoreSource:
         self.vertical, self.attribution = terrain.vertical, terrain.attribution
 
     def again(self) -> tuple[StoreAgain, dict[str, Any]]:
-        """What opens it in another process, and with which arrays: none."""
+        """An opener for other processes, and the arrays that it needs: none."""
         return StoreAgain(*self.terrain.storage.named()), {}
 
     def read(self, row0: int, row1: int, col0: int, col1: int) -> Heights:

@@ -313,9 +313,8 @@ def _behind(dataset: Any, tiff: TiffFile, found: list[Directory], size: int) -> 
             continue
         if directory is found[0] and (at + np.minimum(sizes, _block_bytes(dataset)) > size).any():
             return _cut_fault(dataset, tiff, at, size)
-        wanted = (
-            np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes
-        )  # some writers declare too little
+        # Some writers declare too little.
+        wanted = np.maximum(sizes, _block_bytes(dataset)) if directory is found[0] else sizes
         for ends in (at + sizes, at + wanted):
             end = max(end, int(ends[ends <= size].max(initial=0)))
     end += 4 if _trailed(tiff.file) else 0

@@ -6,8 +6,9 @@ has at each the slope that light falls on (central differences, ``lighting.relie
 bicubically blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope
 changes linearly, just as the light's does. What the two directions say of the twist in a corner is blended as Gregory
 (1974) has it, so that four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside
-missing samples lines are the triangles'. A level cell beside a slope, such as the sea's at a coast, has the surface dip
-there and come back: so that no second line runs where it comes back, the dip is as deep there as its slope has it.
+missing samples lines are the triangles'. In a level cell beside a slope, such as the sea at a coast, the surface dips
+and rises again, and a second line would run along the far side. So the dip is divided by the surface's slope, which
+fades there too: the surface leaves the level at the coast and does not return within the cell.
 Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
 *Computer Aided Geometric Design*, Academic Press.
 

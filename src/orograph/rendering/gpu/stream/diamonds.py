@@ -2,13 +2,15 @@
 
 A page is that of ``lod.field`` with the first row and column of the next ones: 257 × 257 vertices of a level, each a
 height, an error, the radius of its sphere, whether its sample is missing, and whether its colours are off by more than
-a color tolerance γ (then a page is made for one γ), in 8 bytes (``packed``). Wanted are the
-pages of all tiles that the terrain's patches want for the same tolerance, for a tree splits nothing that patches do
-not, and those of coarser levels there; in motion only of tiles that take away more than the tolerance, for patches,
-which grow, begin at smaller errors. Where ground and missing ground share a tile, whose edge a tree follows to the
-sample, wanted are those whose samples are larger than the tolerance; with γ, which counts where a sphere looks larger
-than a pixel, also all whose samples are larger than half a pixel, last. A picture that waits asks the tree itself, too
-(``take_asked``): then it follows edges and colours to the end. The coarsest pages never leave. Pixels.
+a color tolerance γ (so pages are made for one γ), in 8 bytes (``packed``).
+
+A tree splits nothing that patches do not. So it wants the pages of all tiles that the terrain's patches want for the
+same tolerance, and those of coarser levels there; in motion only of tiles that take away more than the tolerance, for
+patches, which grow, begin at smaller errors. Where ground and missing ground share a tile, a tree follows the edge to
+the sample: there it wants pages whose samples are larger than the tolerance. With γ, which counts where a sphere looks
+larger than a pixel, it also wants all pages whose samples are larger than half a pixel, last. A picture that waits asks
+the tree itself, too (``take_asked``), which then follows edges and colours to the end. The coarsest pages never leave.
+Lengths on the screen are pixels.
 """
 
 from __future__ import annotations
