@@ -5,7 +5,8 @@ own, so ``asked`` remembers it. A compiler or a driver may block the main thread
 signal wakes ends the process after ``GRACE``. Until ``guard`` is called there is nothing to clean up.
 
 Numba calls Python to build a kernel's results, and LLVM calls it to look up compiled kernels. Neither checks for an
-exception, so one raised there would crash the interpreter: a signal that arrives there is sent again a moment later.
+exception, so one raised there would crash the interpreter; one raised while garbage is collected is lost. A signal that
+arrives there is sent again a moment later.
 
 This module is the first that the command line imports, and imports little itself.
 """
@@ -96,10 +97,12 @@ def _called_by_native_code(frame: FrameType | None) -> bool:
 
 
 def _unraisable(what: sys.UnraisableHookArgs) -> None:
-    """Do not report an interrupt that arrives where Python cannot pass it on (a callback during garbage collection):
-    ``_watch`` ends the process."""
+    """Send a signal again whose interrupt arrived where Python cannot pass it on (a callback during garbage
+    collection)."""
     if not isinstance(what.exc_value, KeyboardInterrupt):
         sys.__unraisablehook__(what)
+    elif _asked:
+        _postponed.append(_asked[-1])
 
 
 def _watch(reading: int, grace: float) -> None:

@@ -25,7 +25,6 @@ from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
-from orograph.store.adding import Needs, add, is_itself
 from orograph.store.addresses import storage_at
 from orograph.store.bucket import BucketStorage
 from orograph.store.chunked import Kind, checked_kind
@@ -172,6 +171,7 @@ def build(
     """
     # (One long function: two thirds of it are its options and their descriptions.)
     from orograph.store import handing
+    from orograph.store.adding import Needs, add, is_itself
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
