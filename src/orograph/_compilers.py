@@ -8,14 +8,15 @@ when they have grown large, and with this process.
 from __future__ import annotations
 
 import os
-import pickle
-import subprocess
 import sys
 import threading
 from collections.abc import Iterable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orograph._needed import Kernel
+
+if TYPE_CHECKING:
+    import subprocess  # loaded late, as pickle is: the command line starts without them
 
 MOST = 2
 """Processes at once: each takes up to 350 MiB."""
@@ -34,6 +35,8 @@ class Compilers:
 
     def expect(self, kernels: Iterable[Kernel]) -> None:
         """Compile these, one after the other, as soon as nothing is waited for."""
+        import pickle
+
         with self._turn:
             for kernel in kernels:
                 if kernel not in self._made and kernel not in self._begun:
@@ -115,11 +118,15 @@ class _Compiler:
 
 def piped(program: str) -> subprocess.Popen[bytes] | None:
     """Start ``python -m program`` to ask and to answer."""
+    import subprocess
+
     return run(program, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
 
 
 def run(program: str, *arguments: str, **how: Any) -> subprocess.Popen[bytes] | None:
     """Start ``python -m program``; None if it cannot be started."""
+    import subprocess
+
     command = [sys.executable, "-P", "-m", program, *arguments]  # -P: modules of the folder one is in are not ours
     silent, alone = subprocess.DEVNULL, os.environ | {"OROGRAPH_COMPILE_AHEAD": "0"}
     try:

@@ -11,7 +11,6 @@ process behind that compiles what the other verbs need (``compile_rest``).
 from __future__ import annotations
 
 import os
-import pickle
 import sys
 import threading
 import time
@@ -92,6 +91,8 @@ def compiled_elsewhere(module: str, name: str, types: Any) -> bool:
     Where no process may be started (see ``expect``; one core is enough) or it fails, nothing is done. All that work
     needs which was told of is compiled after it.
     """
+    import pickle
+
     if not module.startswith("orograph.") or not _allowed():
         return False
     try:

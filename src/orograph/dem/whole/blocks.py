@@ -19,7 +19,6 @@ from typing import IO, Any
 import numpy as np
 
 from orograph.dem.whole.files import DAMAGED, OPENING, archived, main_file, stream
-from orograph.dem.whole.kernels import lzw_length, packed_length
 from orograph.errors import ReadError
 
 _FILES = 256
@@ -151,6 +150,8 @@ def _deflate(data: bytes, least: int, most: int) -> str | None:
 
 
 def _lzw(data: bytes, least: int, most: int) -> str | None:
+    from orograph.dem.whole.kernels import lzw_length
+
     if data[:1] == b"\0" and data[1:2] and data[1] & 1:  # from before TIFF 6.0: the other bit order
         return None
     made, ended = lzw_length(np.frombuffer(data, np.uint8), most)
@@ -158,6 +159,8 @@ def _lzw(data: bytes, least: int, most: int) -> str | None:
 
 
 def _packed(data: bytes, least: int, most: int) -> str | None:
+    from orograph.dem.whole.kernels import packed_length
+
     made = packed_length(np.frombuffer(data, np.uint8), most)
     return None if made in (least, most) else "its PackBits runs do not fill the block"
 

@@ -14,8 +14,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from orograph.dem.whole.kernels import run_lengths
-
 _ENTRY = struct.Struct("<IIIIIi64s32s")  # next, previous, parent, child, data, their size, name, type
 _STATE = struct.Struct("<iiihII")  # blocks, objects, next object, compression, blocks listed, where
 _BLOCK = np.dtype([("file", "<i2"), ("offset", "<u4"), ("size", "<u4"), ("valid", "<i2"), ("packed", "<i2")])
@@ -89,6 +87,8 @@ def _blocks(file: BinaryIO, at: int) -> Any:
 
 def _fills(file: BinaryIO, block: Any, samples: int) -> bool:
     """Whether a compressed block holds as many samples as it must."""
+    from orograph.dem.whole.kernels import run_lengths
+
     if not block["valid"]:
         return True
     data = _at(file, int(block["offset"]), int(block["size"]))

@@ -17,8 +17,6 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.dem.whole.kernels import scan
-
 REMEDY = "Rewrite it with plain numbers such as -1234.5, and missing heights as its nodata value."
 
 _PIECE = 8 << 20
@@ -274,6 +272,8 @@ def _scanned(file: BinaryIO, start: int, lines: int, parting: bytes, comma: bool
 
 
 def _first_fault(data: bytes, parting: bytes, comma: bool, state: NDArray[np.int64]) -> str | None:
+    from orograph.dem.whole.kernels import scan
+
     view = np.frombuffer(data, np.uint8)
     state[0] = 0
     while True:
