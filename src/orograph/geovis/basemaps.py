@@ -15,7 +15,6 @@ from pathlib import Path
 from xml.sax.saxutils import escape
 
 from orograph.errors import UsageError
-from orograph.fetching.asking import user_agent
 from orograph.geovis.tile_packs import kept_folder, of_folder, of_pmtiles
 from orograph.output import Beside
 
@@ -87,6 +86,8 @@ class Basemap:
 
     def description(self, cache: Path) -> str:
         """The description for GDAL."""
+        from orograph.fetching.asking import user_agent
+
         url = self.url.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}")
         return DESCRIPTION.format(
             called=f"{PREFIX}{self.name}".replace("--", "-"), url=escape(url), world=WORLD, finest=self.finest,

@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -78,6 +77,8 @@ class Doubt:
     """
 
     def __init__(self, grid: Grid, sigma: Any, reach: float, confidence: float) -> None:
+        from scipy.special import ndtri
+
         self.grid, self.reach, self.confidence = grid, reach, confidence
         self._parts = [
             float(one.sigma) if one.is_number else deviations_of(one.sigma, grid) for one in errors_of(sigma, reach)

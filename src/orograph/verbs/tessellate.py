@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from orograph.compiling import expect
 from orograph.errors import NothingInViewError
@@ -27,8 +27,10 @@ from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verbs.goals import check_colors, choice_of, goal_of, not_enough
-from orograph.verify.report import Report
 from orograph.viewpoint import Camera, View
+
+if TYPE_CHECKING:
+    from orograph.verify import Report
 
 
 @dataclass(frozen=True, slots=True)

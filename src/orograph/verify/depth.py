@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from orograph.errors import UsageError
 from orograph.parallel import aside
@@ -116,6 +115,8 @@ def judge_depth(
 
 
 def _judge(depth: NDArray[np.floating], terrain: Terrain, view: View, camera: Camera, jobs: int | None) -> DepthReport:
+    from scipy.ndimage import distance_transform_edt
+
     truth = true_depth(terrain, camera, view, jobs)
     shown = np.isfinite(depth)
     errors = np.zeros(depth.shape)
