@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
+# Tests start the command line hundreds of times; without bytecode each start compiles the whole package.
+unexport PYTHONDONTWRITEBYTECODE
 SOURCES := $(shell find src -name '*.py' 2>/dev/null)
 
 .PHONY: demo test test-all check bench docs clean help
@@ -30,10 +32,10 @@ demo: $(VENV)/.sample
 	@$(BIN)/orograph demo --output out
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
 test-all: $(VENV)/.test
-	$(BIN)/python -m pytest -n auto -m '' $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m '' $(PYTEST_ARGS)
 
 check: $(VENV)/.check $(VENV)/.test
 	$(BIN)/ruff check .
