@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -17,6 +18,7 @@ from surfaces import rough
 
 from orograph.errors import UsageError
 from orograph.folders import cache_limit
+from orograph.progress import Progress
 from orograph.store import prepare
 from orograph.store.kept import Use, entries, make_room
 from orograph.store.lock import alone
@@ -88,6 +90,35 @@ def test_a_store_that_another_process_is_building_is_waited_for(tmp_path, monkey
         assert time.monotonic() - began > 0.3
         np.testing.assert_array_equal(terrain.read(0, 0, 90, 0, 80), rough((90, 80), 3))
     thread.join()
+
+
+def test_doubts_about_heights_are_found_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(prepare, "EXACT_SAMPLES", 100)
+    dem, heights = tmp_path / "dem.tif", rough((90, 80), 3)
+    heights[:30, :30] = -9999
+    with rasterio.open(dem, "w", driver="GTiff", height=90, width=80, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:  # fmt: skip
+        file.write(heights, 1)
+
+    class Heard(Progress):
+        def warn(self, text):
+            said.append(text)
+
+    def warnings():
+        said.clear()
+        prepare.prepare([str(dem)], progress=Heard()).close()
+        return [text for text in said if "-9999" in text]
+
+    said = []
+    first = warnings()
+    assert len(first) == 1
+    with monkeypatch.context() as patched:
+        patched.setattr("orograph.dem.inspect.doubtful_heights", lambda *_: pytest.fail("looked again"))
+        assert warnings() == first
+    doubts = entries()[0].path / prepare.DOUBTS
+    doubts.write_text("[")
+    assert warnings() == first and json.loads(doubts.read_text())
 
 
 def test_what_is_used_again_is_not_the_oldest(cache):

@@ -8,7 +8,10 @@ need it wait. The folder stays within a size limit (``store.kept``).
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import importlib.metadata
+import json
 import shutil
 import time
 from collections.abc import Collection
@@ -27,6 +30,9 @@ if TYPE_CHECKING:
 
     from orograph.dem.mosaic import Mosaic
     from orograph.error import ErrorKind
+
+DOUBTS = "doubts.json"
+"""The file, in a kept store, of what is doubtful about its files' heights."""
 
 PAUSE = 0.3
 """Seconds between checks whether another process has finished the store."""
@@ -134,7 +140,7 @@ def of_mosaic(
         else:
             progress.note(f"drawn from the store kept at {kept}")
             terrain.use = use
-            return _checked(mosaic, terrain, progress)
+            return _checked(mosaic, terrain, progress, kept)
     try:
         kept.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -147,7 +153,7 @@ def of_mosaic(
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
-    return _checked(mosaic, terrain, progress)
+    return _checked(mosaic, terrain, progress, kept)
 
 
 def _built(
@@ -170,15 +176,31 @@ def _built(
             time.sleep(PAUSE)
 
 
-def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
-    """The terrain with its files' samples, after warning about doubtful heights."""
+def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress, kept: Path | None = None) -> Terrain:
+    """The terrain with its files' samples, after warning about doubtful heights (in a kept store: those found before,
+    by this version)."""
+    terrain.samples = mosaic
+    version = importlib.metadata.version("orograph")
+    doubts: list[str] | None = None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        doubts = json.loads((kept / DOUBTS).read_text(encoding="utf-8")).get(version) if kept is not None else None
+    if doubts is None:
+        doubts = _doubts(mosaic, *terrain.height_range)
+        if kept is not None:
+            with contextlib.suppress(OSError):
+                (kept / DOUBTS).write_text(json.dumps({version: doubts}), encoding="utf-8")
+    for text in doubts:
+        progress.warn(text)
+    return terrain
+
+
+def _doubts(mosaic: Mosaic, low: float, high: float) -> list[str]:
+    """What is doubtful about the heights of a mosaic's files, which lie between ``low`` and ``high``."""
     from orograph.dem.area import Cut
     from orograph.dem.inspect import doubtful_heights
     from orograph.dem.source import Source
 
-    terrain.samples = mosaic
-    low, high = terrain.height_range
-    seen: set[str] = set()
+    found: dict[str, str] = {}
     every = -(-len(mosaic.sources) // 64)  # some of many files are read
     for i, source in enumerate(mosaic.sources):
         file = source.raster if isinstance(source, Cut) else source
@@ -186,7 +208,5 @@ def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress) -> Terrain:
             continue  # the heights are no longer those of the files
         windows = max(1, 16 // len(mosaic.sources)) if i % every == 0 else 0
         for text in doubtful_heights(cast(Source, source), low, high, windows):
-            if text not in seen:
-                seen.add(text)
-                progress.warn(text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
-    return terrain
+            found.setdefault(text, text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
+    return list(found.values())
