@@ -356,7 +356,7 @@ def color_exceeds(camera, c, w, r):
 
 @inlined
 def color_slack(camera, c, w, r):
-    """By how much the depth of a diamond may change before ``color_exceeds`` does."""
+    """By how many stretched metres the depth of a diamond may change before ``color_exceeds`` does."""
     return abs(w - r - r / camera.texel) if c > camera.color_tolerance and camera.focal > 0.0 else np.inf
 
 
