@@ -130,9 +130,8 @@ class Bench:
             choice = chosen(label)
             method: Any = choice.make(terrain, Resources(1 << 33, 1))
             self.methods[label] = method
-            if (
-                getattr(method, "error", None) == "exact" and choice.info.name != "roam"
-            ):  # (ROAM's nodes know their own pages)
+            # (Patches have pages of their own kind, and ROAM's nodes know theirs.)
+            if type(getattr(method, "field", None)) is Field and method.error == "exact" and choice.info.name != "roam":
                 method.field = self.exact
 
     def measure(self, number: int) -> list[dict[str, Any]]:

@@ -22,8 +22,9 @@ from orograph.errors import UsageError
 from orograph.geo.grid import Grid
 from orograph.viewpoint import Camera, View
 
-to_camera, sphere_bound, sphere_exceeds, triangle_bound = (
-    f.py_func for f in (screen.to_camera, screen.sphere_bound, screen.sphere_exceeds, screen.triangle_bound)
+to_camera, sphere_bound, sphere_exceeds, triangle_bound, color_exceeds, color_slack = (
+    getattr(screen, name).py_func
+    for name in ("to_camera", "sphere_bound", "sphere_exceeds", "triangle_bound", "color_exceeds", "color_slack")
 )
 GRID = Grid((101, 101), Affine.translation(1000, 2000) @ Affine.rotation(25) @ Affine.scale(30, -30), None)
 
@@ -185,6 +186,31 @@ def test_a_plan_displaces_nothing_but_splits_holes():
     camera = camera_parameters(Camera.over(GRID, plan), tolerance=0.0)
     assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, 50.0, 10.0)[:2] == (False, False)
     assert compiled(camera, ANISOTROPIC, 5.0, 5.0, 0.0, np.inf, 10.0)[:2] == (True, True)
+
+
+@pytest.mark.parametrize("projection", ["perspective", "plan"])
+def test_what_is_larger_than_a_pixel(projection):
+    """A sphere whose nearest point is on the axis: as large as its radius is there, across, on the screen."""
+    rng = np.random.default_rng(6)
+    both, high = set(), np.array([0, 0, 900])
+    for _ in range(100):
+        eye, depth = high + rng.uniform(-500, 500, 3), float(rng.uniform(10, 800))
+        view = View(tuple(eye), tuple(eye - high), width=400, height=300, projection=projection)
+        r = float(10 ** rng.uniform(-1, 2))
+        centre = eye - [0, 0, depth + r]
+        camera = camera_parameters(Camera.over(GRID, view), color_tolerance=2.0)
+        (middle, edge), _ = view.project(np.array([eye - [0, 0, depth], eye - [-r, 0, depth]]))
+        larger = bool(np.hypot(*(edge - middle)) > 1)
+        w = to_camera(camera, *(~GRID.samples @ tuple(map(float, centre[:2]))), float(centre[2]))[2]
+        assert color_exceeds(camera, 3.0, w, r) == larger and not color_exceeds(camera, 1.0, w, r)
+        slack = color_slack(camera, 3.0, w, r)
+        if projection == "plan":
+            assert slack == np.inf
+        else:
+            assert color_exceeds(camera, 3.0, w - 0.999 * slack, r) == color_exceeds(camera, 3.0, w + 0.999 * slack, r)
+            assert color_exceeds(camera, 3.0, w + (1.001 if larger else -1.001) * slack, r) != larger
+        both.add(larger)
+    assert both == {True, False}
 
 
 # ---- counter-examples (docs/metrics.md quotes their numbers) -------------------------------------------------------

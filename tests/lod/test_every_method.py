@@ -17,19 +17,25 @@ import toy
 
 from orograph import verify
 from orograph.errors import UsageError
+from orograph.hierarchy import diamonds
 from orograph.lod.method import Goal, Resources
 from orograph.lod.registry import METHODS, chosen, method_of
 from orograph.scene.camera import whole
 from orograph.scene.methods import made
 from orograph.store.memory import MemoryTerrain
-from orograph.viewpoint import Camera
+from orograph.viewpoint import Camera, View
 
 MESHES = [name for name in METHODS if method_of(name).info.kind != "rays"]
+
+COLORED = [name for name in MESHES if "color_tolerance" in {f.name for f in fields(method_of(name).info.options)}]
 
 UNSOUND = {"t_junctions", "overlaps", "crowded", "reversed", "flat", "bridged", "inner"}
 
 QUADTINS = ("quadtin", "hyperblock")
 """Where samples are missing they promise nothing, and end within a sample of the rim."""
+
+COARSE = (*QUADTINS, "restricted-quadtree", "smart", "triangle-patches")
+"""Their unit is larger than the two triangles of a diamond: they draw more than is asked for."""
 
 SAMPLES = 400 * 383
 """Of a terrain, which some methods build much for in memory."""
@@ -155,7 +161,7 @@ def test_budgets_of_triangles_and_of_time(name):
 def test_colors_split_what_heights_do_not(name):
     """Every method that has a color tolerance draws more for a smaller one; the others refuse it."""
     t = plain.terrain(plain.rough(np.random.default_rng(10), (90, 70), amplitude=400.0))
-    if "color_tolerance" not in {field.name for field in fields(method_of(name).info.options)}:
+    if name not in COLORED:
         with pytest.raises(UsageError, match="tolerance"):
             chosen(f"{name},color-tolerance=5")
         return
@@ -167,6 +173,46 @@ def test_colors_split_what_heights_do_not(name):
         assert verify.judge_mesh(mesh, t, camera.view).ok(selection.bound), (name, gamma)
         counts.append(len(mesh.triangles))
     assert counts[0] < counts[1] < counts[2], (name, counts)
+
+
+class Spot:
+    """The colours of a spot on plain ground, and the color errors of diamonds."""
+
+    def __init__(self):
+        self.inside = np.zeros((129, 129), bool)
+        self.inside[60:72, 30:41] = True
+        self.errors = np.where(diamonds.closure(self.inside), 9.0, 1.0).astype(np.float32)
+
+    def __call__(self, level, row0, row1, col0, col1):
+        return self.errors[:: 1 << level, :: 1 << level][row0:row1, col0:col1]
+
+    def colors(self, row0, row1, col0, col1):
+        return np.where(self.inside[row0:row1, col0:col1, None], [50, 9, 0], [50, 0, 0]).astype(np.float32)
+
+
+@pytest.mark.parametrize("name", [*COLORED, "threshold-spheres,metric=isotropic"])
+def test_in_a_plan_colors_split_what_is_larger_than_a_pixel(name):
+    """On flat ground, whose heights ask for nothing, and from whatever height."""
+    t, spot = plain.terrain(np.zeros((129, 129), np.float32)), Spot()
+    method = made(chosen(f"{name},color-tolerance=5"), t, Resources(color=spot))
+    (x, y), radii, counts = t.grid.xy(64, 64), plain.Plain(t).r, {}
+    for pixel in (15.0, 60.0, 240.0, 960.0, 60.0, 8000.0, 15.0):  # metres; samples are 30 m apart
+        size = math.ceil(129 * 30 / pixel)
+        for fov in (90.0, 3.0):
+            away = pixel * size / 2 / math.tan(math.radians(fov) / 2)
+            view = View((x, y, away), (x, y, 0.0), fov_y=fov, width=size, height=size, projection="plan")
+            mesh = method.select(Camera.over(t.grid, view), Goal(tolerance=1.0)).tessellation()
+            assert verify.judge_mesh(mesh, t, view).ok(0.0)
+            counts.setdefault(pixel, set()).add(len(mesh.triangles))
+            drawn = {(int(row), int(col)) for col, row, _ in mesh.vertices}
+            needed = set(map(tuple, np.argwhere((radii > pixel) & (spot.errors > 5.0)).tolist()))
+            if name not in QUADTINS:  # (whose radii and errors are their own)
+                assert needed <= drawn, (pixel, fov)
+            if name not in COARSE:
+                assert drawn - needed == {(0, 0), (0, 128), (128, 0), (128, 128)}, (pixel, fov)
+    assert all(len(found) == 1 for found in counts.values())
+    fine, middle, *_, coarse = (min(found) for found in counts.values())
+    assert fine >= middle > coarse and (coarse == 2 or name in COARSE)
 
 
 @cache

@@ -200,6 +200,31 @@ def test_colors_are_split_whatever_the_errors_say():
     assert len(meshes[0]) > len(plain.refiner(Soar, t).refine(view, tolerance=30.0).triangles)
 
 
+@pytest.mark.parametrize("names", [METHODS, ("top-down", "roam")])
+def test_plans_moved_and_enlarged_show_the_same_colors(names):
+    """What is kept from view to view leads to the mesh that is made anew, by every metric, with holes."""
+    rng = np.random.default_rng(9)
+    t = plain.terrain(plain.rough(rng, (65, 50), amplitude=40.0, gaps=0.03))
+    errors = np.where(diamonds.closure(rng.random((65, 65)) < 0.01), 5.0, 0.5).astype(np.float32)
+
+    def color(level, row0, row1, col0, col1):
+        return errors[:: 1 << level, :: 1 << level][row0:row1, col0:col1]
+
+    methods = [
+        plain.refiner(name, t, metric=metric, color=color, color_tolerance=1.0)
+        for name in names
+        for metric in ("anisotropic", "isotropic")
+    ]
+    counts = set()
+    for away in (1e5, 3e4, 3e4, 6e3, 6e3, 2e3, 3e4):
+        x, y = t.grid.xy(*rng.uniform(10, 40, 2))
+        plan = plain.View((x, y, away), (x, y, 0.0), projection="plan", fov_y=10, width=50, height=40)
+        first, *rest = (plain.triangles_of(method.refine(plan)) for method in methods)
+        assert all(mesh == first for mesh in rest), away
+        counts.add(len(first))
+    assert len(counts) > 4
+
+
 def test_metrics_by_error():
     t = plain.terrain(np.zeros((9, 9), np.float32))
     assert plain.refiner(Soar, t).metric.name == "localised" and plain.refiner(Soar, t).spheres == ANISOTROPIC

@@ -58,7 +58,7 @@ class CameraParameters(NamedTuple):
         stretch: factor on radii of spheres, max(1, exaggeration).
         tolerance: pixels.
         color_tolerance: γ, ΔE.
-        texel: the least radius, over depth, of a diamond whose colors count.
+        texel: the size of a pixel at unit depth, in a plan at any depth, stretched metres.
         planes: (24,) float64, the frustum: six planes of four numbers, positive inside. One that is not there is (0, 0,
             0, ∞). See ``plane_of``.
     """
@@ -140,7 +140,6 @@ def camera_parameters(
     *,
     tolerance: float = 1.0,
     color_tolerance: float = math.inf,
-    texel: float = 1.0,
 ) -> CameraParameters:
     """A camera over flat terrain as kernels see it.
 
@@ -148,7 +147,6 @@ def camera_parameters(
         camera: perspective or plan.
         tolerance: pixels.
         color_tolerance: γ, ΔE.
-        texel: the least radius, in pixels, of a diamond whose colors count.
     """
     view, chart, exaggeration = camera.view, camera.affine, camera.exaggeration
     # In plain numbers, as the chart's planes are.
@@ -172,14 +170,13 @@ def camera_parameters(
         half_x, half_y = view.pixel_slope * width / 2, view.pixel_slope * height / 2
         # (The margin holds a sample on the picture's very edge.)
         lean = math.hypot(abs(h) + abs(w) * half_x, abs(i) + abs(w) * half_y) * (1 + 1e-12)
-        texel /= focal  # pixels of γ are measured with the same focal length
     return CameraParameters(
         right=right, up=up, depth=depth,
         motion_x=(h * u - w * a, h * v - w * b, h * o - w * c),
         motion_y=(i * u - w * d, i * v - w * e, i * o - w * f),
         largest_lean=float(lean), focal=float(focal), near=float(view.near), exaggeration=float(exaggeration),
         stretch=max(1.0, float(exaggeration)), tolerance=float(tolerance), color_tolerance=float(color_tolerance),
-        texel=float(texel), planes=np.array(planes).ravel(),
+        texel=float(view.pixel_metres if plan else 1.0 / focal), planes=np.array(planes).ravel(),
     )  # fmt: skip
 
 
@@ -346,9 +343,21 @@ def triangle_bound(camera, ax, ay, aw, bx, by, bw, cx, cy, cw, e):
 
 
 @inlined
+def larger_than_pixel(camera, depth, r):
+    """Whether a sphere of (stretched) radius r, at least ``depth`` away, may look larger than a pixel."""
+    return r > camera.texel * (depth if camera.focal > 0.0 else 1.0)
+
+
+@inlined
 def color_exceeds(camera, c, w, r):
     """Whether a diamond's colours are off by more than γ and it is large enough on the screen for that to be seen."""
-    return c > camera.color_tolerance and r > camera.texel * (w - r)
+    return c > camera.color_tolerance and larger_than_pixel(camera, w - r, r)
+
+
+@inlined
+def color_slack(camera, c, w, r):
+    """By how many stretched metres the depth of a diamond may change before ``color_exceeds`` does."""
+    return abs(w - r - r / camera.texel) if c > camera.color_tolerance and camera.focal > 0.0 else np.inf
 
 
 @inlined

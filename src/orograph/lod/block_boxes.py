@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import inlined, leaf
+from orograph.error.screen import larger_than_pixel
 
 
 @inlined
@@ -86,6 +87,6 @@ def weigh_colors(camera, ends, boxes, away, cosine, last, ranges):
         w = nearest(camera, box, away[i], cosine, 0.0)
         while ranges[i] < last[i]:
             r = ends[ranges[i]] * camera.stretch
-            if r <= camera.texel * (w - 2.0 * r):
+            if not larger_than_pixel(camera, w - 2.0 * r, r):
                 break
             ranges[i] += 1

@@ -120,14 +120,13 @@ class HyperBlock(QuadTin):
         self.levels[:] = 0
         which = np.flatnonzero(seen)
         ranges = np.zeros(len(which), np.int16)
+        boxes = Boxes(*(getattr(self._boxes, one.name)[which] for one in fields(Boxes)))
+        away, cosine = distances(self.terrain, view, up, boxes), math.sqrt(off_axis(view))
         if lens.focal > 0:
-            boxes = Boxes(*(getattr(self._boxes, one.name)[which] for one in fields(Boxes)))
             ranges[:] = len(self._ends) - 1
-            away = distances(self.terrain, view, up, boxes)
-            cosine = math.sqrt(off_axis(view))
             weigh_boxes(lens, self._ends, self.blocks.boxes[which], away, cosine, ranges)
-            if self.color_tolerance < math.inf:
-                weigh_colors(lens, self.blocks.boxes[which], away, cosine, self.blocks.reach[which], ranges)
+        if self.color_tolerance < math.inf:
+            weigh_colors(lens, self.blocks.boxes[which], away, cosine, self.blocks.reach[which], ranges)
         self.levels[which] = 1 + ranges
         return seen
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import kernel
+from orograph.error.screen import larger_than_pixel
 from orograph.lod.block_boxes import nearest
 from orograph.lod.quadtin_pass import finest_bound, strip_of
 from orograph.lod.quadtin_tree import Hierarchy
@@ -296,7 +297,7 @@ def weigh_colors(camera, boxes, away, cosine, reach, ranges):
         level = np.int64(ranges[i]) + 1
         while reach[i, level] > 0.0:
             r = reach[i, level] * camera.stretch
-            if r <= camera.texel * (w - 2.0 * r):
+            if not larger_than_pixel(camera, w - 2.0 * r, r):
                 break
             level += 1
         ranges[i] = level - 1

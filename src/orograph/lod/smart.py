@@ -170,8 +170,7 @@ class Smart(RightTriangleMeshes):
             names, ranges = names[ranges != NONE], ranges[ranges != NONE]
             ids = self._ids(level, names)
             slots = self._fetch(level, names, ids)
-            if lens.focal > 0:
-                self._weigh_boxes(camera, lens, level, names, slots, ranges)
+            self._weigh_boxes(camera, lens, level, names, slots, ranges)
             tree.slots[ids], tree.ranges[ids] = slots, ranges
             self._touched.append(ids)
             split = ranges >= self.kept.least[slots, 0] if level else np.zeros(len(names), bool)
@@ -199,7 +198,8 @@ class Smart(RightTriangleMeshes):
         ranges: NDArray[np.int16],
     ) -> None:  # fmt: skip
         """Lower the ranges of blocks where their boxes allow it, and raise them where colours require it."""
-        boxed, colored = self.options.boxes and self.metric.number == ANISOTROPIC, self.color_tolerance < math.inf
+        boxed = lens.focal > 0 and self.options.boxes and self.metric.number == ANISOTROPIC
+        colored = self.color_tolerance < math.inf
         if not (boxed or colored):
             return
         (rows, cols), p = self.terrain.grid.shape, self.m + level

@@ -21,8 +21,8 @@ its vertex. Errors are monotonic and spheres nested: R_i ≥ |p_i − p_j| + R_j
 pass over the terrain; Blow closes λ·e_i bottom-up for one λ instead (docs/methods/threshold-spheres.md compares).
 10⁻⁹ of the terrain's size per level makes the nesting strict, so that roundings cannot undo it. ``isotropic-published``
 has λ = f / τ. A diamond whose colours are off by more than γ is also split while its sphere can look larger than a
-texel. Turning the head changes nothing; mixed diamonds (e = ∞) are split when they come into view; what is out of view
-stays refined and is skipped when triangles are put out.
+pixel. Turning the head changes nothing; mixed diamonds (e = ∞) are split when they come into view, and in a plan so are
+those whose colours count; what is out of view stays refined and is skipped when triangles are put out.
 
 *Waiting.* The front is kept as two binary trees of triangles. A leaf waits to be split, a node with two leaves below it
 to be merged; radix heaps of ways and of turns (``radix_heap``) say when.
@@ -249,16 +249,18 @@ class ThresholdSpheres(RightTriangleMeshes):
         view = camera.view
         plan = view.projection == "plan"
         if self.spheres != ANISOTROPIC:
-            return (self._lambda(camera, tolerance), self._color_reach(camera), view.part, camera.exaggeration, plan)
+            pixel = view.pixel_metres if plan else 0.0
+            return (self._lambda(camera, tolerance), self._color_reach(camera), view.part, camera.exaggeration, pixel)
         return (
             tolerance, view.pixel_slope, view.near, view.far, *view.frame[2:], plan, view.part, camera.exaggeration
         )  # fmt: skip
 
     @staticmethod
     def _color_reach(camera: Camera) -> float:
-        """Radius of the spheres of colored diamonds, in radii of their nested spheres."""
+        """Radius of the spheres of colored diamonds, in radii of their nested spheres; 0 in a plan, where distance
+        does not count."""
         if camera.view.projection == "plan":
-            return math.inf
+            return 0.0
         return (1.0 + 1.0 / camera.view.pixel_slope) / _corner(camera)
 
     def _at(self, camera: Camera, tolerance: float) -> Mesh:

@@ -20,6 +20,7 @@ from orograph._numba import inlined, leaf
 from orograph.error.screen import (
     ANISOTROPIC,
     color_exceeds,
+    color_slack,
     image_motion,
     outside,
     plane_distance,
@@ -116,8 +117,7 @@ def decide(camera, cull, col, row, z, e, r, c, secant, share):
         if out:
             return False, -r - least
     colored = color_exceeds(camera, c, w, r)
-    # A motion for which colours stay what they are.
-    slack = abs(w - r - r / camera.texel) if c > camera.color_tolerance and camera.texel < np.inf else np.inf
+    slack = color_slack(camera, c, w, r)
     exceeds = sphere_exceeds(camera, ANISOTROPIC, x, y, w, e, r)
     motion = np.inf
     if e < np.inf and e > 0.0 and camera.focal > 0.0:
@@ -195,7 +195,10 @@ def load(pages, criterion, frame, nodes, v, leaf_level):
     elif e > 0.0 and frame.reach > 0.0:
         reach = frame.reach * e + r + slack
     if criterion.metric != ANISOTROPIC and c > camera.color_tolerance:
-        reach = max(reach, frame.color_reach * r + slack)
+        if camera.focal > 0.0:
+            reach = max(reach, frame.color_reach * r + slack)
+        elif color_exceeds(camera, c, 0.0, r):
+            reach = np.inf
     col, row = place_of(pages, key)
     numbers[v, X] = frame.affine[0] * col + frame.affine[1] * row + frame.origin[0]
     numbers[v, Y] = frame.affine[2] * col + frame.affine[3] * row + frame.origin[1]
@@ -275,14 +278,15 @@ def split_leaf(nodes, lists, counts, v):
 
 @leaf
 def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level, most):
-    """Look at what is to be looked at, and at mixed diamonds in view; returns why it stops. It can be called again.
+    """Look at what is to be looked at, and at what is always split in view; returns why it stops. It can be called
+    again.
 
     Args:
         pages: ``field.Pages``.
         criterion: ``Criterion`` that does not look ahead. What is out of view stays whole if it culls: with the
-            isotropic metrics mixed diamonds, else all.
+            isotropic metrics what is always split in view, else all.
         frame: ``Frame``. nodes: ``Nodes``. lists: ``Lists``.
-        stack: int32 (4n + 8,), the mixed nodes to look at. counts: int64 (8,). leaf_level: 2n.
+        stack: int32 (4n + 8,), the nodes to look at that are always split in view. counts: int64 (8,). leaf_level: 2n.
         most: steps (``STEPS``) after which it pauses. What is left waits among the work, wherever the camera goes.
     """
     links, numbers = nodes.links, nodes.numbers
@@ -303,7 +307,7 @@ def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level, mos
                 continue
             reach = numbers[v, REACH]
             if not reach > 0.0 or (spheres and reach == np.inf):
-                continue  # never split; or mixed: see below
+                continue  # never split; or always in view: see below
             child = np.int64(links[v, CHILD])
             if child >= 0 and (links[child, CHILD] >= 0 or links[child + 1, CHILD] >= 0):
                 continue  # its turn comes when those below are gone
@@ -315,7 +319,7 @@ def update(pages, criterion, frame, nodes, lists, stack, counts, leaf_level, mos
                 merge(nodes, lists, counts, v)
             schedule(frame, not spheres, nodes, lists, counts, v, motion, away, share)
         elif counts[TOP] > 0:
-            # Through mixed diamonds in view.
+            # Through what is always split in view.
             if counts[FREE] < 1:
                 return GROW
             v = np.int64(stack[counts[TOP] - 1])

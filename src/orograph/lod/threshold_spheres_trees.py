@@ -22,7 +22,7 @@ steps of an update, which are limited."""
 
 X, Y, Z, RADIUS, REACH, ERROR, COLOR, NUMBERS = range(8)
 """Of a triangle's diamond: its vertex (stretched metres); radius of its nested sphere; of its threshold sphere (∞:
-mixed, −1: never split, NaN: not yet known; 1 if the metric has no such spheres); its errors."""
+always split in view, −1: never split, NaN: not yet known; 1 if the metric has no such spheres); its errors."""
 
 RADIANS = 2.0**-34
 """Radians per unit of turn."""
@@ -36,7 +36,8 @@ class Frame(NamedTuple):
             column and row, north per column and row.
         way, turn: of the eye and of the axis of view so far, metres and radians; moved, turned: since the last frame.
         unit: metres per unit of way.
-        reach: of threshold spheres, metres per metre of height. color_reach: of colored diamonds, in radii.
+        reach: of threshold spheres, metres per metre of height. color_reach: of colored diamonds, in radii. Both 0 in
+            a plan.
         slack: metres per level.
         secant: 1 / cos of the angle of the picture's corner.
     """

@@ -206,6 +206,25 @@ def test_colours_split_where_the_cpu_splits_for_them(device: Device, tolerance: 
     assert same >= 3 and more >= 3
 
 
+@pytest.mark.usefixtures("rounded")
+def test_in_a_plan_colours_split_what_is_larger_than_a_pixel(device: Device) -> None:
+    rng = np.random.default_rng(9)
+    t = plain.terrain(plain.rough(rng, (180, 257), amplitude=300, gaps=0.04), stretch=0.7)
+    colors = ColorErrors(t)
+    method = plain.refiner(Cbt, t, color=colors, color_tolerance=GAMMA)
+    vertices = Vertices(t, color=colors)
+    tree = Tree(device, t, vertices.corners, DiamondPages(device, vertices, 64 << 20, gamma=GAMMA), LEAST)
+    counts = []
+    for away in (60_000.0, 15_000.0, 3000.0):
+        x, y = t.grid.xy(*rng.uniform(60, 120, 2))
+        view = View((x, y, away), (x, y, 0.0), fov_y=20, width=90, height=60, projection="plan")
+        settled(tree, view, 1.0)
+        found = plain.triangles_of(tree.tessellation({}))
+        assert found == plain.triangles_of(method.refine(view, tolerance=1.0))
+        counts.append((len(found), len(plain.refiner(Cbt, t).refine(view).triangles)))
+    assert all(found > holes for found, holes in counts), counts
+
+
 def test_triangles_squeezed_to_a_line_are_not_drawn(device: Device) -> None:
     """Beyond the raster's end vertices have no ground: such triangles would stand on it as spikes."""
     rng = np.random.default_rng(10)

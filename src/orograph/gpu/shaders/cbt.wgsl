@@ -15,7 +15,7 @@ struct Tuning {
   top: u32,                       // the coarsest level of its pages
   near: f32,
   slots: u32,
-  texel: f32,                     // pixels at unit depth: where a sphere looks larger, its colours count
+  texel: f32,                     // metres: the size of a pixel at unit depth, in a plan at any
   pad: u32,
   levels: array<vec4<u32>, 32>,   // of pages: offset in the table, rows, columns
 };
@@ -106,10 +106,10 @@ fn exceeds(p: vec3<f32>, error: f32, radius: f32) -> bool {
   return tuning.focal * error * lean > 0.99999 * tuning.tolerance * moved;
 }
 
-// Whether a sphere is so large on the screen that its colours are seen (error/screen.py: color_exceeds).
+// Whether a sphere is so large on the screen that its colours are seen (error/screen.py: larger_than_pixel).
 fn seen(p: vec3<f32>, radius: f32) -> bool {
-  let depth = dot(camera.forward.xyz, p) - radius;
-  return radius > tuning.texel * (depth - ROUNDING * (length(p) + radius));
+  let depth = dot(camera.forward.xyz, p) - radius - ROUNDING * (length(p) + radius);
+  return radius > tuning.texel * select(1.0 - ROUNDING, depth, tuning.focal > 0.0);
 }
 
 fn outside(p: vec3<f32>, radius: f32) -> bool {

@@ -24,6 +24,7 @@ from orograph.error.screen import (
     ANISOTROPIC,
     WEDGIE,
     color_exceeds,
+    color_slack,
     image_motion,
     loose_bound,
     sphere_bound,
@@ -123,10 +124,9 @@ def screen(node, edge, camera, options, low, high):
             slack = min(slack, above(focal * e, numerator, max(nearest, 0.0), up, less))
     if node.color > 0.0 or node.color < -1.0:
         c = color_error(np.float64(node.color))
-        if c > camera.color_tolerance:
-            slack = min(slack, abs(w - r - r / camera.texel))
-            if color_exceeds(camera, c, w, r):
-                bound = max(bound, options[RATE] * c / max(camera.color_tolerance, 1e-6))
+        slack = min(slack, color_slack(camera, c, w, r))
+        if color_exceeds(camera, c, w, r):
+            bound = max(bound, options[RATE] * c / max(camera.color_tolerance, 1e-6))
     return bound, slack
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.error.screen import color_exceeds, image_motion, plane_distance, plane_of, to_camera
+from orograph.error.screen import color_exceeds, color_slack, image_motion, plane_distance, plane_of, to_camera
 from orograph.lod.criterion import color_error
 from orograph.lod.field import find
 from orograph.lod.localise import plane_through, push_halves, put, take
@@ -187,9 +187,7 @@ def foresee(root, pages, camera, options, terms, scratch, t, known, steady, slac
         nearer = r / options[NEARNESS] - (w - r)
         if nearer <= 0.0 or color_exceeds(camera, c, w, r):
             return ACTIVE, min(min(slack, steady), -nearer if nearer <= 0.0 else np.inf)
-        if c > camera.color_tolerance:
-            lasts = min(lasts, abs(w - r - r / camera.texel))
-        lasts = min(lasts, nearer)
+        lasts = min(lasts, min(nearer, color_slack(camera, c, w, r)))
         kind, holds = by_itself(pages, camera, node, n, t, known, reach, todo)
         if kind == SEEN:
             return ACTIVE, min(holds, steady)
