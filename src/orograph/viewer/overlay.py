@@ -27,7 +27,7 @@ MARGIN = 14.0
 PAD = 8.0
 BESIDE = 190.0
 """Space that scale bar and colour bar take beside the read-out."""
-BAR, BANDS = 204.0, 64
+BAR, BANDS = 208.0, 64
 """Height of a colour bar with its title, and its bands of colour."""
 FOOT, NARROW, HIGH_FOOT = 34.0, 850.0, 120.0
 """Space of the read-out at the bottom of the terrain's area; the width below which its lines are above the scale bar;
@@ -117,7 +117,7 @@ def _colors(window: Window, draw: Any, right: float, bottom: float, top: float) 
 
 def _bar(draw: Any, right: float, bottom: float, low: float, high: float, table: list[int], title: str) -> None:
     """Colours from a value to another, highest on top."""
-    tall, wide = BAR - 2 * PAD - 18, 14.0
+    tall, wide = BAR - 2 * PAD - 30, 14.0
     marks = ticks(low, high, 6)
     texts = [number(v, marks) for v in marks]
     space = max((imgui.calc_text_size(t).x for t in texts), default=0.0)
@@ -129,7 +129,7 @@ def _bar(draw: Any, right: float, bottom: float, low: float, high: float, table:
     else:
         slip(draw, x, y, w, BAR)
     draw.add_text((min(x, right - named) + PAD, y + 3), color(0.95, 0.95, 0.95), title)
-    top = y + PAD + 14
+    top = y + PAD + 26
     n = len(table)
     for k in range(n):
         a, b = top + tall * k / n, top + tall * (k + 1) / n
