@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from orograph.lighting.relief import Relief, Windows
-from orograph.rendering.lines.smooth import SMALL, interpolated, smoothed
+from orograph.rendering.lines.smooth import CLEAR, SMALL, interpolated, smoothed
 
 Array = NDArray[np.float64]
 
@@ -82,5 +83,26 @@ def test_a_coast_is_one_line() -> None:
     height = interpolated(z, x, np.full(len(x), 4.3))
     slope = 15.0 * (x - 4)  # the light's
     away = np.abs(height) / slope
-    assert (height < 0).all() and (away > np.minimum(5 - x, 0.14) - 1e-6).all()
+    assert (height < 0).all() and (np.abs(away - np.minimum(5 - x, CLEAR[0])) < 1e-6).all()
     assert (interpolated(z, np.linspace(0, 4, 20), np.full(20, 4.3)) == 0).all()
+
+
+@pytest.mark.parametrize("turns", range(4))
+def test_where_a_coast_turns_it_is_straight_from_sample_to_sample(turns: int) -> None:
+    """Two rows of land and a third that is shorter: a cell with one corner of land, and one beside it with two."""
+    z = np.zeros((12, 12), np.float32)
+    z[7:, :] = 30
+    z[6, 6:] = 20
+    z = np.rot90(z, turns).copy()
+    t = np.linspace(0.02, 0.98, 25)
+
+    def height(x: Array, y: Array) -> Array:
+        for _ in range(turns):
+            x, y = y, 11 - x
+        return interpolated(z, x, y)
+
+    np.testing.assert_allclose(height(5 + t, 6 - t), 0, atol=1e-6)  # across the cell whose corner is land
+    np.testing.assert_allclose(height(6 + t, np.full(25, 5 + 1e-7)), 0, atol=1e-5)  # along the edge of the sea
+    np.testing.assert_allclose(height(4 + t, np.full(25, 6 + 1e-7)), 0, atol=1e-5)
+    assert (height(5 + t, 6.2 - t) > 0).all() and (height(5 + t[:-4], 5.8 - t[:-4]) < 0).all()
+    assert (height(6.5 + t, np.full(25, 5.1)) > 0).all()

@@ -16,6 +16,7 @@ from orograph.lighting.sun import Sun
 from orograph.memo import Memo
 from orograph.rendering.cpu.draw import draw
 from orograph.scene import camera
+from orograph.scene.contours import Contours
 from orograph.scene.scene import Scene
 
 SIZE = (333, 190)
@@ -65,6 +66,18 @@ def test_a_tile_is_the_whole_there(tmp_path, name):
             for what, n in tile.facts["shown"].items():
                 counts[what] += n
     assert counts == whole.facts["shown"] and counts["ground"] > 0
+
+
+def test_a_tile_may_have_silhouettes_and_labels():
+    """Silhouettes need a wider rim than labels, whose letters are the whole's to a level of grey."""
+    scene = Scene.of(ground(), camera.around(ground(), SIZE, azimuth=200, pitch=25, distance=3000), samples=1,
+                     silhouettes=True, contours=Contours())  # fmt: skip
+    whole = draw(scene)
+    assert whole.facts["shader"]["contours"]["labels"] > 0
+    for x, y, w, h in CUTS:
+        tile = draw(scene.but(view=scene.view.tile(x, y, w, h)))
+        apart = np.abs(tile.pixels.astype(int) - whole.pixels[y : y + h, x : x + w])
+        assert apart.max() <= 1 and (apart > 0).mean() < 1e-3
 
 
 def test_a_plan_s_tile_knows_its_place():

@@ -15,6 +15,7 @@ import orograph
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.priority import Priority
 from orograph.rendering.standing import stand
+from orograph.viewer import overlay
 from orograph.viewer.data import ShownData
 from orograph.viewer.panels import data as panel
 from orograph.viewer.panels import plot
@@ -64,6 +65,24 @@ def test_what_stands_is_seen_and_told(window, hand):
     ground = window.drawing.renderer
     again = stand(session.settings.shown.things, window.drawing.screen.pixels(), ground.depth(), scene)
     np.testing.assert_array_equal(again.which, window.drawing.stood.which)
+
+
+def test_colour_bars_of_data_stand_over_that_of_heights(window, hand, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(overlay, "_bar", lambda *about: drawn.append((about[2], about[-1])))
+    monkeypatch.setattr(window.cover, "hides", lambda: False)
+    hand.frames(1)
+    assert [title for _, title in drawn] == ["m"]
+    give(window, bar(window)[0].but(unit="t"))
+    hand.rest()
+    drawn.clear()
+    hand.frames(1)
+    (below, heights), *above = drawn
+    assert heights == "m" and len(above) < 2 and all(low < below and title == "load (t)" for low, title in above)
+    monkeypatch.setattr(window.cover, "hides", lambda: True)
+    drawn.clear()
+    hand.frames(1)
+    assert [title for _, title in drawn] == ["load (t)"]
 
 
 def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):

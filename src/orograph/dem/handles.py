@@ -377,6 +377,8 @@ def _remedy(location: str, error: BaseException) -> str:
         return "GDAL recognises .hgt files by name and size: the name must be like N44W072.hgt (the south-west corner)."
     if location.lower().endswith(".pmtiles") or location.lower().endswith(".mbtiles"):
         return "Convert tile archives to one raster first (gdal_translate to GeoTIFF)."
+    if location.lower().endswith((".nc", ".nc4", ".h5", ".hdf5", ".cdf")):
+        return "GDAL finds no raster in it: look for an empty dimension or missing coordinates (ncdump -h)."
     if location.startswith(("/vsizip/{", "/vsigzip/")):
         return "Give an archive that holds an elevation raster, or unpack it and give the raster."
     if is_remote(location):

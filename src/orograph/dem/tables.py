@@ -34,7 +34,7 @@ def read_table(path: str) -> dict[str, Array]:
 def read_texts(path: str) -> dict[str, list[str]]:
     """The columns of a table with a line of names, as they are written.
 
-    Where semicolons or tabs part the columns, numbers may have a decimal comma.
+    Numbers may have a decimal comma, if they are quoted or semicolons or tabs part the columns.
 
     Raises:
         ReadError: the file cannot be read; it has no line of names, or nothing below it; two columns have one name; a
@@ -64,9 +64,7 @@ def read_texts(path: str) -> dict[str, list[str]]:
     if not rows:
         raise ReadError("It holds no points below its header line.", path=path, remedy="Name a file that has points.")
     columns = {name: [row[i] for row in rows] for i, name in enumerate(names) if name}
-    if mark != ",":
-        columns = {name: _with_points(values, name, path) for name, values in columns.items()}
-    return columns
+    return {name: _with_points(values, name, path, mark) for name, values in columns.items()}
 
 
 def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:
@@ -94,19 +92,22 @@ def _rows(reader: Any, width: int, path: str, mark: str) -> Iterator[list[str]]:
 _PARTED = re.compile(r"\s*[+-]?[1-9]\d{0,2},\d{3}\s*\Z")
 
 
-def _with_points(values: list[str], name: str, path: str) -> list[str]:
-    """Numbers with decimal commas replaced by points.
+def _with_points(values: list[str], name: str, path: str, mark: str) -> list[str]:
+    """Numbers with decimal commas replaced by points; where columns are parted by commas, thousands stay as they are.
 
     Raises:
-        ReadError: all commas may part thousands as well (1,234).
+        ReadError: all commas may part thousands as well (1,234), and columns are not parted by commas.
     """
     commas = [value for value in values if "," in value]
     if commas and all(_PARTED.match(value) for value in commas):
+        if mark == ",":
+            return values
         raise ReadError(
             f"The commas in its column {name!r} may be decimal commas or thousands separators ({commas[0].strip()}): "
             "ambiguous.", path=path, remedy="Rewrite it with decimal points.",
         )  # fmt: skip
-    return [value.replace(",", ".") if value.count(",") == 1 else value for value in values]
+    pointed = [value.replace(",", ".") for value in values]
+    return [p if "," in v and np.isfinite(number(p)) else v for v, p in zip(values, pointed)]
 
 
 def places_in(columns: dict[str, Any], path: str, crs: str) -> tuple[str, str]:

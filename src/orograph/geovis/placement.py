@@ -44,6 +44,7 @@ class Placement:
         turn: a full turn of longitude in the units of the image's x, 0 if that is no longitude.
         stretched: it has no place of its own and covers the terrain's extent.
         middle: the terrain's, as x in the image's CRS; needed where ``turn`` is not 0.
+        undeclared: the image names no CRS, and its coordinates are taken as the terrain's.
     """
 
     grid: Grid
@@ -51,6 +52,7 @@ class Placement:
     turn: float
     stretched: bool
     middle: float = 0.0
+    undeclared: bool = False
     _local: threading.local = field(default_factory=threading.local, repr=False, compare=False)
 
     @classmethod
@@ -68,7 +70,8 @@ class Placement:
         if image.crs is None or grid.crs is None:
             whose = "The image" if image.crs is None else "The terrain"
             warnings.append(f"{whose} has no CRS: the coordinates of {path} are taken as the terrain's own.")
-            return cls(grid, Grid(image.shape, image.transform, grid.crs), 0.0, False)
+            own = Grid(image.shape, image.transform, grid.crs)
+            return cls(grid, own, 0.0, False, undeclared=image.crs is None)
         placement = cls(grid, image, 0.0, False)
         try:
             x, _ = placement.projected(*grid.xy((grid.cols - 1) / 2, (grid.rows - 1) / 2))

@@ -5,7 +5,9 @@ The surface area is exact for the triangulated surface: triangles inside count w
 with gradient g (per grid metre) a grid metre² is f² sqrt(|G| (1 + gᵀ G⁻¹ g / f²)) metres² of ground, f = 1 + h / R and
 G the projection's metric (``places``), taken every ``LATTICE`` metres and bilinear between (an error below 1e-7). The
 plan area is that of the polygon on the ellipsoid (Karney 2013, its edges followed every ``KNOT`` metres, as they are
-straight on the grid, not geodesics). Rings close by themselves; a polygon with holes is its border, then the holes.
+straight on the grid, not geodesics). A surface is the plan area times the ratio of two sums, over the ground and over
+the same triangles at height 0, so that level ground at height 0 has exactly its plan area and no ground above has less.
+Rings close by themselves; a polygon with holes is its border, then the holes.
 
 Units: metres², metres³, metres.
 """
@@ -111,7 +113,7 @@ def area(
     cells = abs(signed[0]) - sum(abs(a) for a in signed[1:])
     cell = terrain.grid.cell_area
     sums = _sum(places, turned, math.nan if level is None else level, jobs, reporting(progress))
-    ground, missing, surface, surface_grid, heights, above, below = (float(v) for v in sums)
+    ground, missing, surface, flat, surface_grid, heights, above, below = (float(v) for v in sums)
     plan_grid = cells * cell
     plan, perimeter = _on_ellipsoid(places, rings)
     perimeter_grid = sum(float(np.hypot(*(np.roll(r, -1, axis=0) - r).T).sum()) for r in rings)
@@ -119,7 +121,8 @@ def area(
         plan, perimeter = plan_grid, perimeter_grid
     true = cell * plan / plan_grid
     return Area(
-        plan, plan_grid, surface, surface_grid, missing * cell, perimeter, perimeter_grid,
+        plan, plan_grid, plan * (surface / flat), plan_grid * (surface_grid / (ground + missing)), missing * cell,
+        perimeter, perimeter_grid,
         heights / ground if ground > 0 else None, level, None if level is None else above * true,
         None if level is None else below * true,
     )  # fmt: skip
@@ -204,16 +207,15 @@ def _on_ellipsoid(places: Places, rings: list[Array]) -> tuple[float | None, flo
 
 def _sum(places: Places, rings: list[Array], level: float, jobs: int | None, progress: Progress) -> Array:
     """The kernel's sums over all tiles that the polygon meets."""
-    from orograph.measuring.area_kernels import ROOM, clip_ring, measure
+    from orograph.measuring.area_kernels import ROOM, SUMS, clip_ring, measure
 
     terrain = places.terrain
     rows, cols = terrain.grid.shape
     low, high = rings[0].min(axis=0), rings[0].max(axis=0)
     inverse = np.linalg.inv(places.linear)
-    cell = terrain.grid.cell_area
 
     def tile(at: tuple[int, int]) -> Array:
-        sums = np.zeros(7)
+        sums = np.zeros(SUMS)
         r0, c0 = at
         r1, c1 = min(r0 + TILE, rows - 1), min(c0 + TILE, cols - 1)
         parts = []
@@ -236,12 +238,12 @@ def _sum(places: Places, rings: list[Array], level: float, jobs: int | None, pro
         g = places.metric(np.stack([x.ravel(), y.ravel()], axis=-1))
         metrics = np.stack([g[:, 0, 0], g[:, 0, 1], g[:, 1, 1]], axis=-1).reshape(*x.shape, 3)
         part = np.ascontiguousarray(terrain.read(0, r0, r1 + 1, c0, c1 + 1))
-        measure(part, r0, c0, padded, counts, level, metrics, places.radius, inverse, cell, sums)
+        measure(part, r0, c0, padded, counts, level, metrics, places.radius, inverse, sums)
         return sums
 
     spans = [range(int(low[k]) // TILE * TILE, max(math.ceil(high[k]), 1), TILE) for k in (1, 0)]
     tiles = [(r, c) for r in spans[0] for c in spans[1] if r < rows - 1 and c < cols - 1]
-    total = np.zeros(7)
+    total = np.zeros(SUMS)
     with progress.task("Measuring", total=len(tiles)) as task:
         for sums in map_ordered(tile, tiles, jobs):
             total += sums

@@ -13,9 +13,11 @@ import numpy as np
 
 from orograph._numba import kernel, leaf
 
-PLAN, MISSING, SURFACE, SURFACE_GRID, HEIGHT, ABOVE, BELOW = range(7)
-"""Sums: cells of ground and of holes (areas in samples²), surface in true metres² and in grid metres², and times cells:
-height, height above the level, height below it."""
+SUMS = 8
+PLAN, MISSING, SURFACE, FLAT, SURFACE_GRID, HEIGHT, ABOVE, BELOW = range(SUMS)
+"""Sums of areas in cells: ground and holes in plan; the ground's true surface, and that of level ground at height 0 in
+its place and that of the holes; the ground's surface on the grid; and ground times height, height above the level, and
+height below it."""
 ROOM = 32
 """A cut multiplies points by at most 1.5, and there are at most eight cuts in sequence."""
 
@@ -154,7 +156,7 @@ def stretched(z, p, q, inverse, g0, g1, g2, radius):
 
 
 @kernel
-def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse, cell, sums):
+def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse, sums):
     """Sum over the triangles of a tile.
 
     Args:
@@ -162,8 +164,8 @@ def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse,
         rings: (k, n, 2) the polygon's rings cut to the tile, outer ones of positive area in (x, y); counts (k,).
         level: height that volumes are counted from; NaN: none are.
         metrics: (m, n, 3) metric (G00, G01, G11) on a lattice over the tile, its corners included.
-        radius: of the body; inverse: (2, 2) columns and rows per metre east and north; cell: metres² of a cell.
-        sums: (7,) see ``PLAN``.
+        radius: of the body; inverse: (2, 2) columns and rows per metre east and north.
+        sums: (SUMS,) see ``PLAN``.
     """
     nr, nc = heights.shape[0] - 1, heights.shape[1] - 1
     size = 4
@@ -222,6 +224,7 @@ def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse,
                         above += w * (base - level) + p * wx + q * wy
                 if area <= 1e-15:
                     continue
+                sums[FLAT] += area * np.sqrt(g0 * g2 - g1 * g1)
                 if hole:
                     sums[MISSING] += area
                     continue
@@ -229,8 +232,8 @@ def measure(heights, row0, col0, rings, counts, level, metrics, radius, inverse,
                 true, grid = stretched(volume / area, p, q, inverse, g0, g1, g2, radius)
                 sums[PLAN] += area
                 sums[HEIGHT] += volume
-                sums[SURFACE] += area * cell * true
-                sums[SURFACE_GRID] += area * cell * grid
+                sums[SURFACE] += area * true
+                sums[SURFACE_GRID] += area * grid
                 if volumes:
                     sums[ABOVE] += above
                     sums[BELOW] += above - (volume - level * area)

@@ -27,6 +27,8 @@ MARGIN = 14.0
 PAD = 8.0
 BESIDE = 190.0
 """Space that scale bar and colour bar take beside the read-out."""
+BAR, BANDS = 208.0, 64
+"""Height of a colour bar with its title, and its bands of colour."""
 FOOT, NARROW, HIGH_FOOT = 34.0, 850.0, 120.0
 """Space of the read-out at the bottom of the terrain's area; the width below which its lines are above the scale bar;
 and the space they take there."""
@@ -50,8 +52,8 @@ def furniture(window: Window) -> None:
         return
     _north(window, draw, x + w - MARGIN - 46, y + MARGIN)
     _scale(window, draw, x + MARGIN, y + h - MARGIN - 40)
-    if h > 360 and not window.cover.hides():
-        _colors(window, draw, x + w - MARGIN, y + h - MARGIN)
+    if h > 360:
+        _colors(window, draw, x + w - MARGIN, y + h - MARGIN, y + 2 * MARGIN + 62)
     _readout(window, draw, x + w / 2, y + h - MARGIN - 24)
 
 
@@ -99,20 +101,35 @@ def _scale(window: Window, draw: Any, x: float, y: float) -> None:
         )  # fmt: skip
 
 
-def _colors(window: Window, draw: Any, right: float, bottom: float) -> None:
-    """The colours of heights, highest on top."""
+def _colors(window: Window, draw: Any, right: float, bottom: float, top: float) -> None:
+    """The colours of heights, unless they are hidden, and above them those of data, down from the uppermost; as many as
+    there is room for."""
     settings = window.session.settings
-    name, span = settings.colormap, settings.range
-    low, high, table = window.cached(("tint", name, span), lambda: _table(window, name, span))
-    tall, wide = 170.0, 14.0
+    bars = [(one.low, one.high, _shades(one.colors), one.words)
+            for key in reversed(window.session.scene().keys) for one in reversed(key.scales)]  # fmt: skip
+    if not window.cover.hides():
+        name, span = settings.colormap, settings.range
+        bars.insert(0, (*window.cached(("tint", name, span), lambda: _table(window, name, span)), "m"))
+    room = max(1, int((bottom - top) / (BAR + MARGIN)))
+    for k, bar in enumerate(bars[-room:]):
+        _bar(draw, right, bottom - k * (BAR + MARGIN), *bar)
+
+
+def _bar(draw: Any, right: float, bottom: float, low: float, high: float, table: list[int], title: str) -> None:
+    """Colours from a value to another, highest on top."""
+    tall, wide = BAR - 2 * PAD - 30, 14.0
     marks = ticks(low, high, 6)
     texts = [number(v, marks) for v in marks]
     space = max((imgui.calc_text_size(t).x for t in texts), default=0.0)
-    w, h = wide + space + 3 * PAD, tall + 2 * PAD + 18
-    x, y = right - w, bottom - h
-    slip(draw, x, y, w, h)
-    draw.add_text((x + PAD, y + 3), color(0.95, 0.95, 0.95), "m")
-    top = y + PAD + 14
+    w, named = wide + space + 3 * PAD, imgui.calc_text_size(title).x + 2 * PAD
+    x, y = right - w, bottom - BAR
+    if named > w:  # a slip of its own, so that less ground is hidden
+        slip(draw, right - named, y, named, 21)
+        slip(draw, x, y + 23, w, BAR - 23)
+    else:
+        slip(draw, x, y, w, BAR)
+    draw.add_text((min(x, right - named) + PAD, y + 3), color(0.95, 0.95, 0.95), title)
+    top = y + PAD + 26
     n = len(table)
     for k in range(n):
         a, b = top + tall * k / n, top + tall * (k + 1) / n
@@ -126,9 +143,15 @@ def _colors(window: Window, draw: Any, right: float, bottom: float) -> None:
 def _table(
     window: Window, name: str | None, span: tuple[float, float] | None
 ) -> tuple[float, float, list[int]]:  # fmt: skip
-    low, high, linear = tint_of(window.session.terrain, name, span=span).scale(64)
-    at = np.linspace(0, len(linear) - 1, 64).round().astype(int)
-    return low, high, [color(*(float(v) for v in c)) for c in linear_to_srgb(linear[at])]
+    low, high, linear = tint_of(window.session.terrain, name, span=span).scale(BANDS)
+    return low, high, _shades(linear_to_srgb(linear))
+
+
+def _shades(colors: Any) -> list[int]:
+    """ImGui's numbers of at most ``BANDS`` of the colours (n, 3), sRGB, bytes or 0 to 1."""
+    table = np.asarray(colors)
+    table = table[np.linspace(0, len(table) - 1, min(BANDS, len(table))).round().astype(int)]
+    return [color(*(float(v) for v in one)) for one in table / (255.0 if table.dtype.kind in "iu" else 1.0)]
 
 
 def _readout(window: Window, draw: Any, middle: float, y: float) -> None:

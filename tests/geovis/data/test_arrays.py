@@ -130,3 +130,44 @@ def test_a_negative_deviation_is_refused_in_words():
 
 def test_fahrenheit_is_written_as_people_do():
     assert {written_unit(told) for told in ("degF", "fahrenheit", "degrees_fahrenheit")} == {"°F"}
+
+
+@pytest.mark.parametrize(
+    ("unit", "of", "factor"), [("K", "degC", 1), ("degF", "celsius", 5 / 9), ("mm", "cm", 0.1), ("odd", "m", 1)]
+)
+def test_a_deviation_is_in_the_unit_of_the_data(unit: str, of: str, factor: float):
+    doubt = array(0 * plane() + 2, attrs={"units": unit})
+    data = Dataset(array(plane(), attrs={"units": of}), uncertainty=Uncertainty(doubt))
+    found = deviations(data, read(data, GRID), GRID)
+    assert found is not None
+    np.testing.assert_allclose(found[1][np.isfinite(found[1])], 2 * factor, rtol=1e-6)
+
+
+def test_a_deviation_of_another_kind_is_refused():
+    data = Dataset(array(plane(), attrs={"units": "m"}), uncertainty=Uncertainty(array(plane(), attrs={"units": "K"})))
+    with pytest.raises(ReadError, match="in K cannot be that of data in m"):
+        deviations(data, read(data, GRID), GRID)
+
+
+def test_empty_arrays_are_refused_in_words():
+    for empty in (array(np.stack([plane()] * 2))[:0], np.zeros((0, 0))):
+        with pytest.raises(UsageError, match="array is empty"):
+            read(Dataset(empty), GRID)
+
+
+def test_a_time_that_is_missing_is_none_of_the_times():
+    hours = np.datetime64("2019-03-01T00", "ns") + np.arange(4) * np.timedelta64(6, "h")
+    hours[1] = np.datetime64("NaT")
+    series = array(np.stack([plane() + i for i in range(4)])).rename(member="time").assign_coords(time=hours)
+    assert array_times(series) == ["2019-03-01T00:00", "", "2019-03-01T12:00", "2019-03-01T18:00"]
+    between = read(Dataset(series, time="2019-03-01T03:00"), GRID)
+    np.testing.assert_allclose(between.values, read(Dataset(plane_at(0.5)), GRID).values, atol=1e-4)
+    all_day = read(Dataset(series, time="2019-03-01"), GRID)
+    assert all_day.chosen == "mean of 3 from 2019-03-01 00:00 to 2019-03-01 18:00"
+    with pytest.raises(UsageError, match=r"go from 2019-03-01T00:00 to 2019-03-01T18:00\. Give an earlier and a later"):
+        read(Dataset(series, time="2019-03-02..2019-03-01"), GRID)
+    assert counted("1970-01-01", np.nan, "standard") is None and counted("1970-01-01", -9e18, "standard") is None
+
+
+def plane_at(more: float) -> Any:
+    return array(plane() + np.float32(more))

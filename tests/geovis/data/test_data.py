@@ -197,6 +197,28 @@ def test_a_palette_suppresses_values_level_by_level():
     assert told == [8, 4, 2, 1]
 
 
+@pytest.mark.parametrize("sign", ["noise", "whiteness", "saturation", "palette"])
+def test_what_is_unknown_looks_as_what_is_most_uncertain(tmp_path, sign):
+    grid = terrain_of().grid
+    place = from_origin(500_000, 5_600_000, 100, 100)
+    good = written(tmp_path / "g.tif", np.full((1, 40, 50), 5.0), place, nodata=-9)
+    ramp = np.repeat(np.linspace(0, 1, 40), 50).reshape(1, 40, 50)
+    ramp[:, :, 25:] = -9
+    doubt = written(tmp_path / "s.tif", ramp, place, nodata=-9)
+
+    asked = Uncertainty(doubt, style=sign, range=(0, 1))
+    made = Dataset(good, range=(0, 10), style="continuous", uncertainty=asked)
+    image = _image(painted(shown(made, grid, 200, Priority())))[0][..., :3].astype(float)
+    rows, cols = image.shape[0] // 8, image.shape[1] // 3
+    certain, uncertain, unknown = image[:rows, :cols], image[-rows:, :cols], image[:, -cols:]
+    if sign == "noise":
+        spread = [part.std((0, 1)).max() for part in (certain, uncertain, unknown)]
+        assert spread[2] > 0.8 * spread[1] > 2 * spread[0]
+    else:
+        np.testing.assert_allclose(unknown.mean((0, 1)), uncertain.mean((0, 1)), atol=10)
+        assert np.abs(unknown.mean((0, 1)) - certain.mean((0, 1))).max() > 15
+
+
 @pytest.mark.parametrize("sign", ["whiteness", "saturation"])
 def test_intrinsic_signs_fade_what_is_uncertain(sign):
     scale = ColorScale.of(np.linspace(0, 1, 50), "viridis", (0, 1))

@@ -11,7 +11,7 @@ import pytest
 from rasterio.transform import from_origin
 
 import orograph
-from orograph.errors import UsageError
+from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.points import read_points
 from orograph.scene.theming import themed
@@ -55,3 +55,49 @@ def test_names_have_colours_but_no_sizes() -> None:
     assert "sizes begin at 38" in rain.legend.note and rain.height.max() > 10 * rain.height.min()
     with pytest.raises(UsageError, match="None of the classes"):
         placed(variable="kind", colormap={"automatic": "red"})
+
+
+PLACE = from_origin(500_000, 5_600_000, 100, 100)
+
+
+def refusal(table: str, path: Path, **how: Any) -> str:
+    terrain = orograph.terrain(np.zeros((40, 50), np.float32), transform=PLACE, crs="EPSG:32630")
+    path.write_text(table)
+    with pytest.raises(ReadError) as raised:
+        read_points(Dataset(str(path), **how), terrain.grid)
+    return str(raised.value)
+
+
+def test_it_says_why_no_point_is_left(tmp_path: Path) -> None:
+    away = refusal("lon,lat,v\n9,40,1\n10,41,2\n", tmp_path / "away.csv")
+    assert "they lie within 9 to 10, 40 to 41 in WGS 84" in away and "500000 to 505000" in away
+    swapped = refusal("lon,lat,v\n50.54,-2.98,1\n50.53,-2.97,2\n", tmp_path / "swapped.csv")
+    assert "seem to be exchanged" in swapped and "exchanged" not in away
+    bare = refusal("lon,lat,v,w\n-2.98,50.54,,1\n", tmp_path / "bare.csv", variable="v")
+    assert "There is no attribute 'v' of numbers" in bare or "has a place and a number as v" in bare
+
+
+def test_a_point_whose_uncertainty_is_unknown_is_not_drawn_as_certain() -> None:
+    ground = orograph.terrain(np.zeros((40, 50), np.float32), spacing=10.0)
+    x, y = ground.grid.xy(np.array([5.0, 20.0, 30.0]), np.array([8.0, 12.0, 20.0]))
+    table = {"x": x, "y": y, "v": [2.0, 2.0, 2.0], "sd": [0.0, np.nan, 1.0]}
+    made = Dataset(table, variable="v", uncertainty="sd", range=(0, 4))
+    things = themed({"data": made.but(style="spheres")}, ground, (200, 150)).things
+    assert things is not None and things.sigma is not None
+    unknown = np.isnan(things.sigma)
+    least, most = (things.rgb[things.sigma == sigma] for sigma in (0, 1))
+    assert unknown.sum() == 1
+    np.testing.assert_array_equal(things.rgb[unknown], most)
+    assert (things.rgb[unknown] > least).any()
+    bars = themed({"data": made.but(style="bars"), "priority": "U+"}, ground, (200, 150)).things
+    assert bars is not None and len(bars) == 3 + 2 * 3 and np.isfinite(bars.height).all()
+
+
+def test_a_decimal_comma_is_read_where_it_is_quoted_and_texts_keep_theirs(tmp_path: Path) -> None:
+    terrain = orograph.terrain(np.zeros((40, 50), np.float32), transform=PLACE, crs="EPSG:32630")
+    file = tmp_path / "p.csv"
+    file.write_text('lon,lat,v,place\n"-2,98","50,54","1,5","Bay, north"\n"-2,97","50,53","2,25","Bay, south"\n')
+    found = read_points(Dataset(str(file), variable="v"), terrain.grid)
+    assert found.values.tolist() == [1.5, 2.25]
+    file.write_text("lon;lat;place\n-2,98;50,54;Bay, north\n-2,97;50,53;Bay, south\n")
+    assert read_points(Dataset(str(file), variable="place"), terrain.grid).classes == ("Bay, north", "Bay, south")

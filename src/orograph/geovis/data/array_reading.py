@@ -13,7 +13,7 @@ from affine import Affine
 
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid, compose
-from orograph.geovis.data.choosing import is_level, picked, time_words, wants_members
+from orograph.geovis.data.choosing import is_level, no_time, picked, time_words, wants_members
 from orograph.geovis.data.dataset import Dataset, Uncertainty
 from orograph.geovis.data.field import Field, Values, in_units, step_of, window_of
 from orograph.geovis.data.listing import array_of
@@ -45,10 +45,17 @@ def read_array(given: Dataset | Uncertainty, grid: Grid) -> Field:
         raw = raw[None]
     if raw.ndim != 3:
         raise UsageError(f"Data must have the shape (rows, cols) or (members, rows, cols), not {raw.shape}.")
+    _check_size(raw.shape)
     fit = Affine.scale(grid.cols / raw.shape[2], grid.rows / raw.shape[1])
     chosen, words = _members(len(raw), given, "the array")
     values = raw if len(chosen) == len(raw) else raw[chosen]
     return Field(values, Grid(raw.shape[1:], compose(grid.transform, fit), grid.crs), "data", "", words)
+
+
+def _check_size(sizes: tuple[int, ...] | dict[Any, int]) -> None:
+    """Raise UsageError if an array of these sizes, by dimension, is empty."""
+    if 0 in (sizes.values() if isinstance(sizes, dict) else sizes):
+        raise UsageError(f"The array is empty: {sizes}.", remedy="Give at least one member, row and column.")
 
 
 def _members(count: int, given: Dataset | Uncertainty, name: str) -> tuple[list[int], str]:
@@ -74,6 +81,7 @@ def _of_dataarray(given: Dataset | Uncertainty, grid: Grid, source: Any) -> Fiel
             f"A DataArray must have rows and columns, and optionally time and member, not {dict(array.sizes)}.",
             remedy="Choose one level: level=; style curtains or walls shows all.",
         )
+    _check_size(dict(array.sizes))
     plane, transform, crs = located(array.isel(dict.fromkeys(lead, 0)))
     stacked = array.transpose(*lead, *plane.dims)
     ahead = stacked.shape[:-2]
@@ -128,7 +136,7 @@ def _chosen(given: Dataset | Uncertainty) -> tuple[Any, list[str], Any]:
             raise UsageError("The DataArray has no coordinate time.", remedy="Omit time.")
         keep = [i for i, time in enumerate(times) if matches(time, given.time)]
         if not keep:
-            raise UsageError(f"It has no time {given.time}; its times go from {times[0]} to {times[-1]}.")
+            raise no_time(given.time, times)
         array = array.isel(time=keep) if "time" in array.dims else array
         words.append(time_words(given.time, [times[i] for i in keep]))
     if given.level is not None:

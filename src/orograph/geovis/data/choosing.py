@@ -32,10 +32,7 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
             raise UsageError(f"Its bands have {what}.", path=str(given.source), remedy="Choose by band=.")
         bands = [band for band in bands if matches(times[band - 1], given.time)]
         if not bands:
-            raise UsageError(
-                f"It has no time {given.time}; its times go from {min(filter(None, times))} to {max(times)}.",
-                path=str(given.source), remedy="Give the beginning of a time, or an hour of all days: T12.",
-            )  # fmt: skip
+            raise no_time(given.time, times, str(given.source))
         words.append(time_words(given.time, [times[band - 1] for band in bands]))
     if given.level is not None:
         own = levels_of(file, getattr(given, "vertical", None))
@@ -45,9 +42,9 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
             known = ", ".join(f"{value:g}" for value in values) or "none"
             raise UsageError(f"It has no level {given.level}; its levels are: {known}.", path=str(given.source))
         words.append(f"at {float(given.level):g} {written_unit(own.axis.unit) if own is not None else ''}".rstrip())
-    for asked in (given.band, given.member):
+    for what, asked in (("band", given.band), ("member", given.member)):
         if asked is not None:
-            bands = picked(bands, str(asked), str(given.source))
+            bands = picked(bands, str(asked), str(given.source), what)
     wanted = wants_members(given)
     if given.time is None and given.band is None and given.member is None and not wanted:
         bands = bands[:1]
@@ -60,12 +57,27 @@ def chosen_bands(file: Any, given: Dataset | Uncertainty) -> tuple[list[int], st
     return bands, " ".join(words)
 
 
+def no_time(asked: str, times: Sequence[str], path: str | None = None) -> UsageError:
+    """That none of the times, "" where one is missing, is the one that is asked for."""
+    how = (
+        "an earlier and a later time: A..B"
+        if is_span(asked)
+        else "the beginning of a time, or an hour of all days: T12"
+    )
+    return UsageError(
+        f"It has no time {asked}; its times go from {min(filter(None, times), default='none')} to {max(times)}.",
+        path=path, remedy=f"Give {how}.",
+    )  # fmt: skip
+
+
 def time_words(asked: str, times: Sequence[str]) -> str:
     """Times that were asked for, in words; ``times``: those found, in order."""
     if asked.startswith("T"):
         return f"at {asked[1:]} h"
     first, last = (time.replace("T", " ") for time in (times[0], times[-1]))
-    return f"from {first} to {last}" if is_span(asked) and first != last else first
+    if first != last:
+        return f"from {first} to {last}"
+    return first if len(times) == 1 else f"at {first}"
 
 
 def is_level(value: float, asked: str | float) -> bool:
@@ -89,14 +101,16 @@ def wants_members(given: Dataset | Uncertainty) -> bool:
     return (given.derived and not by_sigma) or (doubt is not None and doubt.of_members)
 
 
-def picked(bands: Sequence[int], asked: str, name: str) -> list[int]:
-    """Of the bands at hand those at positions ``3``, ``1-13`` or ``all``, from 1."""
+def picked(bands: Sequence[int], asked: str, name: str, what: str = "band") -> list[int]:
+    """Of the bands at hand those at positions ``3``, ``1-13`` or ``all``, from 1; ``what`` one is called."""
     if asked.lower() == "all":
         return list(bands)
     found = re.fullmatch(r"(\d+)(?:-(\d+))?", asked.strip())
     if found is None:
-        raise UsageError(f"Bands must be like 3, 1-13 or all, not {asked!r}.", path=name)
+        raise UsageError(f"{what.capitalize()}s must be like 3, 1-13 or all, not {asked!r}.", path=name)
     first, last = int(found[1]), int(found[2] or found[1])
     if not 1 <= first <= last <= len(bands):
-        raise UsageError(f"Bands are numbered from 1 to {len(bands)} here; there is no {asked}.", path=name)
+        known = f"{what.capitalize()}s are numbered from 1 to {len(bands)} here"
+        known = known if len(bands) > 1 else f"It has only one {what}"
+        raise UsageError(f"{known}; there is no {asked}.", path=name)
     return list(bands[first - 1 : last])

@@ -395,4 +395,6 @@ def _check_choice(what: str, value: Any, known: tuple[str, ...]) -> None:
 
 def _check_range(given: tuple[float, float] | None, what: str) -> None:
     if given is not None and not -math.inf < given[0] < given[1] < math.inf:
-        raise UsageError(f"A range of {what} must go from a lower to a higher value, not {given}.")
+        raise UsageError(
+            f"A range of {what} must go from a lower to a higher value, not from {given[0]:g} to {given[1]:g}."
+        )

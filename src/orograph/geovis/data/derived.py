@@ -16,6 +16,7 @@ from orograph.geovis.data.field import Field, Values
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions
 from orograph.geovis.data.statistics import exceedance, words_of
+from orograph.geovis.data.units import ratio
 
 
 def read_data(given: Dataset, grid: Grid) -> Field:
@@ -29,11 +30,11 @@ def read_data(given: Dataset, grid: Grid) -> Field:
 
 
 def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values] | None:
-    """How uncertain data are that were read: standard deviations (or half widths) (rows, cols), and the field on whose
-    grid they are; None where nothing is given.
+    """How uncertain data are that were read: standard deviations (or half widths) (rows, cols) in the data's unit, and
+    the field on whose grid they are; None where nothing is given.
 
     Raises:
-        ReadError: one is negative. Others: as ``reading.read``.
+        ReadError: one is negative, or their unit measures another thing than the data's. Others: as ``reading.read``.
     """
     doubt = given.uncertainty
     if doubt is None:
@@ -41,14 +42,20 @@ def deviations(given: Dataset, field: Field, grid: Grid) -> tuple[Field, Values]
     if doubt.of_members:
         return field, field.uncertainty(doubt.source)
     other = read(doubt, grid)
-    found = other.mean
+    found, unit = other.mean, given.unit or field.unit
+    name = doubt.source if isinstance(doubt.source, str) else "the uncertainty"
     if (found < 0).any():
         raise ReadError(
             f"A standard deviation cannot be negative, but the lowest is {float(np.nanmin(found)):g}.",
-            path=doubt.source if isinstance(doubt.source, str) else "the uncertainty",
-            remedy="Choose another band, or correct it.",
+            path=name, remedy="Choose another band, or correct it.",
         )  # fmt: skip
-    return other, found
+    factor = ratio(other.unit, unit)
+    if factor is None:
+        raise ReadError(
+            f"A standard deviation in {other.unit} cannot be that of data in {unit}.", path=name,
+            remedy="Choose another band; or say in what unit the data are: unit=.",
+        )  # fmt: skip
+    return other, found if factor == 1 else found * np.float32(factor)
 
 
 def _derived(field: Field, given: Dataset, grid: Grid) -> Field:

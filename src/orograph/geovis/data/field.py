@@ -123,9 +123,12 @@ def window_of(placement: Placement, name: str) -> tuple[int, int, int, int]:
         col0, col1 = (0, cols) if placement.cyclic else (max(0, math.floor(u0) - 2), min(cols, math.ceil(u1) + 2))
         if v1 > 0 and v0 < rows and (placement.cyclic or (u1 > 0 and u0 < cols)):
             return row0, row1, col0, col1
+    remedy = "Name data of the same area, or fix their georeference (gdal_edit.py)."
+    if placement.undeclared:
+        remedy = "They name no CRS, so that of the terrain was assumed: declare their own (gdal_edit.py -a_srs)."
     raise ReadError(
         f"The data do not overlap the terrain: they cover {extent(placement.image)}, and the terrain "
         f"{extent(placement.grid)}.",
         path=name,
-        remedy="Name data of the same area, or fix their georeference (gdal_edit.py).",
+        remedy=remedy,
     )

@@ -105,7 +105,7 @@ def times_in(given: Dataset | Uncertainty) -> list[str]:
     if xarray is not None and isinstance(source, xarray.Dataset):
         source = source[str(given.variable).split("+")[0]]
     if xarray is not None and isinstance(source, xarray.DataArray):
-        return sorted(set(array_times(source)))
+        return sorted(set(filter(None, array_times(source))))
     if not isinstance(source, str) or has_features(source) or is_table(source):
         return []
     variable = given.variable.split("+")[0] if given.variable is not None else None

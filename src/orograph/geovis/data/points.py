@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import CRS
 
 from orograph.dem.handles import locate, stamped
 from orograph.dem.tables import DEGREES, EAST, NORTH, number, places_in, read_texts
@@ -22,6 +23,7 @@ from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.features import Features, classes_in, has_features, read_features
 from orograph.geovis.data.shared import reading_once
 from orograph.geovis.data.times import seconds_of
+from orograph.geovis.placement import extent
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.object_]
@@ -146,28 +148,61 @@ def read_points(given: Dataset, grid: Grid, found: Features | None = None) -> Po
         raise ReadError(
             f"{sigma} is a standard deviation, which cannot be negative.", path=name, remedy="Choose another."
         )
-    x, y = columns[east], columns[north]
-    if crs is not None and grid.crs is not None:
-        from orograph.geo.transform import transformer
-
-        x, y = transformer(crs, grid.crs)(x, y)
-        x, y = (np.where(np.isfinite(v), v, np.nan) for v in (x, y))  # inf where the CRS ends
-    col, row = grid.index(x, y)
-    with np.errstate(invalid="ignore"):
-        here = (col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1) & np.isfinite(numbers[value])
+    x, y = _moved(columns[east], columns[north], crs, grid)
+    known = np.isfinite(numbers[value])
     if level is not None:
-        here &= np.isfinite(level.reshape(len(level), -1)).all(1)
+        known &= np.isfinite(level.reshape(len(level), -1)).all(1)
+    here = known & _within(grid, x, y)
     if not here.any():
-        raise ReadError(
-            f"None of its {len(x)} points lies on the terrain and has a {value}.", path=name,
-            remedy="Give data of the same area.",
-        )  # fmt: skip
+        raise _none_here(value, known, columns[east], columns[north], (crs, grid), name)
     when = when_of(given, texts, name) if given.time is not None else None
     seconds = None if when is None else seconds_of(texts[when], name, when)[here]
-    spread = None if sigma is None else np.nan_to_num(numbers[sigma][here])
+    spread = None if sigma is None else numbers[sigma][here]
     alike = (given.name or (Path(name).stem if isinstance(given.source, str) else name),) if bare else None
     return Points(x[here], y[here], numbers[value][here], spread, value.replace("_", " "), alike or classes,
                   None if level is None else level[here], None if group is None else group[here], seconds)  # fmt: skip
+
+
+def _moved(x: Array, y: Array, crs: Any, grid: Grid) -> tuple[Array, Array]:
+    """Places (n,) in the terrain's CRS, NaN where that has none."""
+    if crs is None or grid.crs is None:
+        return x, y
+    from orograph.geo.transform import transformer
+
+    x, y = transformer(crs, grid.crs)(x, y)
+    return np.where(np.isfinite(x), x, np.nan), np.where(np.isfinite(y), y, np.nan)  # inf where the CRS ends
+
+
+def _within(grid: Grid, x: Array, y: Array) -> NDArray[np.bool_]:
+    """Which places (n,) lie among the terrain's samples."""
+    col, row = grid.index(x, y)
+    with np.errstate(invalid="ignore"):
+        return np.asarray((col >= 0) & (row >= 0) & (col <= grid.cols - 1) & (row <= grid.rows - 1))
+
+
+def _none_here(value: str, known: NDArray[np.bool_], x: Array, y: Array, crs: tuple[Any, Grid], name: str) -> ReadError:
+    """Why no point is left: none has a value, or none of those lies on the terrain.
+
+    Args:
+        known: which points have a value. x, y: of all, as given. crs: theirs (None: the terrain's), and the terrain.
+    """
+    known = known & np.isfinite(x) & np.isfinite(y)
+    count = len(x)
+    if not known.any():
+        return ReadError(
+            f"None of its {count} points has a place and a number as {value}." if count else "It holds no points.",
+            path=name, remedy="Choose another attribute, or name a file that has points.",
+        )  # fmt: skip
+    own, grid = crs
+    west, east, south, north = (float(f(v[known])) for v in (x, y) for f in (np.min, np.max))
+    called = "" if own is None else f" in {CRS.from_user_input(own).name}"
+    exchanged = _within(grid, *_moved(y[known], x[known], own, grid)).any()
+    remedy = "Their coordinates seem to be exchanged: longitude (or x) is east." if exchanged else (
+        "Give data of the same area.")  # fmt: skip
+    return ReadError(
+        f"None of its {count} points lies on the terrain: they lie within {west:.8g} to {east:.8g}, {south:.8g} to "
+        f"{north:.8g}{called}, and the terrain covers {extent(grid)}.", path=name, remedy=remedy,
+    )  # fmt: skip
 
 
 def level_of(given: Dataset, numbers: Mapping[str, Array], name: str) -> tuple[Array | None, set[str]]:

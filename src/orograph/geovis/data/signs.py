@@ -72,7 +72,7 @@ def drawn_values(paint: Paint, scale: ColorScale, sign: str) -> Array:
     """The values that colours are made of: blurred or noisy ones where the sign says so."""
     if sign == "noise":
         most = NOISY * (scale.high - scale.low)
-        return np.asarray(paint.values + most * np.nan_to_num(paint.u) * gauss(paint.x, paint.y, GRAIN))
+        return np.asarray(paint.values + most * np.nan_to_num(paint.u, nan=1.0) * gauss(paint.x, paint.y, GRAIN))
     return blurred(paint.values, paint.u, WIDEST * paint.pitch) if sign == "blur" else paint.values
 
 

@@ -264,22 +264,22 @@ def _shape(style: str, size: float, part: Array) -> tuple[Array, Array]:
 
 
 def _error_bars(main: Things, half: Array) -> list[Things]:
-    """Thin posts from one standard deviation below the top to one above it, with a plate at each end."""
-    n, thin = len(main), main.radius / 5
-    low = np.maximum(main.height - half, 0)
+    """Thin posts from one standard deviation, ``half`` (n,), below the top to one above it, with a plate at each end;
+    none where it is unknown."""
+    known = np.isfinite(half)
+    half, height, radius = half[known], main.height[known], main.radius[known]
+    n, thin = len(half), radius / 5
+    low = np.maximum(height - half, 0)
     ink = np.broadcast_to(np.asarray(INK, np.float32), (n, 3))
     none = np.full(n, np.nan)
 
-    def part(lift: Array, radius: Array, height: Array) -> Things:
+    def part(lift: Array, wide: Array, tall: Array) -> Things:
         kind = np.full(n, Kind.CYLINDER, np.int8)
-        return Things(kind, main.x, main.y, lift, radius, height, ink, none, Legend())
+        return Things(kind, main.x[known], main.y[known], lift, wide, tall, ink, none, Legend())
 
-    plate = main.radius / 5
-    at_low = np.where(main.kind == Kind.CONE, main.radius * np.clip(1 - low / main.height, 0, 1), main.radius)
-    return [
-        part(low, thin, main.height + half - low), part(low, at_low + thin, plate),
-        part(main.height + half, 0.5 * main.radius, plate),
-    ]  # fmt: skip
+    at_low = np.where(main.kind[known] == Kind.CONE, radius * np.clip(1 - low / height, 0, 1), radius)
+    return [part(low, thin, height + half - low), part(low, at_low + thin, thin),
+            part(height + half, 0.5 * radius, thin)]  # fmt: skip
 
 
 def longer(grid: Grid) -> float:

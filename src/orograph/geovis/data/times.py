@@ -3,6 +3,7 @@ trails, and ticks."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
@@ -16,6 +17,9 @@ from orograph.errors import ReadError, UsageError
 _SECONDS = {"second": 1, "sec": 1, "s": 1, "minute": 60, "min": 60, "hour": 3600, "hr": 3600, "h": 3600, "day": 86400,
             "d": 86400}  # fmt: skip
 """Seconds of CF's units of time."""
+
+_FARTHEST = 1e14
+"""Seconds from the start beyond which a time is none: three million years."""
 
 CALENDARS = ("standard", "gregorian", "proleptic_gregorian", "noleap", "365_day")
 """CF's calendars whose days all are days of ours."""
@@ -99,9 +103,9 @@ def times_of(file: Any) -> list[str]:
 
 
 def counted(start: str, seconds: float, calendar: str) -> np.datetime64 | None:
-    """The moment so many seconds after the start of CF's units; None: they are not understood."""
+    """The moment so many seconds after the start of CF's units; None: the units are not understood, or it is none."""
     told = _START.fullmatch(start)
-    if told is None or calendar not in CALENDARS:
+    if told is None or calendar not in CALENDARS or not math.fabs(seconds) < _FARTHEST:
         return None
     year, month, day = (int(part) for part in told.group(1, 2, 3))
     seconds += sum(float(part or 0) * unit for part, unit in zip(told.group(4, 5, 6), (3600, 60, 1)))
@@ -120,13 +124,15 @@ def counted(start: str, seconds: float, calendar: str) -> np.datetime64 | None:
 
 
 def array_times(array: Any) -> list[str]:
-    """The times of a DataArray, one for each along its dimension, ISO 8601 to the minute; none of a calendar whose days
-    are not ours."""
+    """The times of a DataArray, one for each along its dimension, ISO 8601 to the minute, "" where one is missing; none
+    of a calendar whose days are not ours."""
     if "time" not in array.coords:
         return []
     values = np.atleast_1d(array.coords["time"].values)
     if values.dtype.kind != "O":  # (numbers are times that nobody has decoded)
-        return [] if values.dtype.kind != "M" else [str(one) for one in values.astype("datetime64[m]").astype(str)]
+        if values.dtype.kind != "M":
+            return []
+        return ["" if np.isnat(one) else str(one) for one in values.astype("datetime64[m]")]
     if not all(getattr(one, "calendar", "") in CALENDARS for one in values):
         return []
     return [f"{one.year:04d}-{one.month:02d}-{one.day:02d}T{one.hour:02d}:{one.minute:02d}" for one in values]

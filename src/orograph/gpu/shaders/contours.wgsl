@@ -13,11 +13,43 @@ fn moved(at: Place, by: vec2<f32>) -> Place {
   return Place(at.whole + vec2<i32>(down), part - down);
 }
 
-const DIP = 4.0 / 27.0;   // of a level cell beside a slope
+const SHORE = 0.3;   // samples inland from the shore within which heights follow it
+const NO_SHORE = 9.0;
+
+// How far a place f in a level cell lies from its shore, samples: from edges beyond which both samples differ, and
+// corners beyond which one does, as slopes at the corners tell; NO_SHORE where there is none.
+fn to_shore(s00: vec2<f32>, s10: vec2<f32>, s01: vec2<f32>, s11: vec2<f32>, f: vec2<f32>) -> f32 {
+  let g = 1.0 - f;
+  let none = vec4<f32>(NO_SHORE);
+  let ends = vec4<f32>(s00.x, s10.x, s00.y, s01.y) * vec4<f32>(s01.x, s11.x, s10.y, s11.y);
+  let edges = select(none, vec4<f32>(f.x, g.x, f.y, g.y), ends != vec4<f32>(0.0));
+  let rises = vec4<f32>(dot(s00, s00), dot(s10, s10), dot(s01, s01), dot(s11, s11));
+  let far = vec4<f32>(length(f), length(vec2<f32>(g.x, f.y)), length(vec2<f32>(f.x, g.y)), length(g));
+  let nearest = min(edges, select(none, far, rises > vec4<f32>(0.0)));
+  return min(min(nearest.x, nearest.y), min(nearest.z, nearest.w));
+}
+
+// How far a place f in a cell with corners h lies from the shore, samples, negative at sea; NO_SHORE where none is.
+fn from_shore(h: vec4<f32>, f: vec2<f32>) -> f32 {
+  let low = vec2<f32>(h.x + h.z, h.x + h.y);    // of the sides in the west and the north
+  let high = vec2<f32>(h.y + h.w, h.z + h.w);   // in the east and the south
+  if (min(min(h.x, h.y), min(h.z, h.w)) != 0.0 || low.x + high.x == 0.0) {
+    return NO_SHORE;
+  }
+  let in_from = select(1.0 - f, f, high > vec2<f32>(0.0));
+  let bare = min(low, high) == vec2<f32>(0.0);   // whether a side has no land
+  if (all(bare)) {
+    return sqrt(0.5) * (in_from.x + in_from.y - 1.0);
+  }
+  if (bare.x && min(h.x, h.z) + min(h.y, h.w) > 0.0) {
+    return in_from.x;
+  }
+  return select(NO_SHORE, in_from.y, bare.y && min(h.x, h.y) + min(h.z, h.w) > 0.0);
+}
 
 // The smooth surface at a place: height, slope (in light's units, per sample along columns and rows), and 1 if all
 // four samples are present, else 0.
-fn smooth_surface(at: Place) -> vec4<f32> {
+fn smooth_surface(at: Place, footprint: f32) -> vec4<f32> {
   let l = levels[0];
   let cell = clamp(at.whole, vec2<i32>(0), camera.last - 1);
   let f = clamp(at.part + vec2<f32>(at.whole - cell), vec2<f32>(0.0), vec2<f32>(1.0));
@@ -60,9 +92,14 @@ fn smooth_surface(at: Place) -> vec4<f32> {
   height -= u.x * v.y * (f.x * west + g.y * south) / max(f.x + g.y, 1e-9);
   height -= u.y * v.y * (g.x * east + g.y * south) / max(g.x + g.y, 1e-9);
   let slope = mix(mix(s00, s10, f.x), mix(s01, s11, f.x), f.y);
+  let steep = length(slope);
+  let clear = max(0.15, 6.0 * footprint);   // the surface goes down over level ground as far as hides the line
+  let inland = from_shore(h, f);
   if (all(h == h.xxxx)) {
-    let most = sqrt(max(max(dot(s00, s00), dot(s10, s10)), max(dot(s01, s01), dot(s11, s11))));
-    height = h.x + clamp((height - h.x) * most / max(length(slope), 1e-9), -most * DIP, most * DIP);
+    height = h.x + select(-steep, steep, height > h.x) * min(to_shore(s00, s10, s01, s11, f), clear);
+  } else if (inland != NO_SHORE) {
+    height = mix(max(inland, -clear) * steep, height, smoothstep(0.0, SHORE, inland));
+    height = select(height, max(height, 0.5 * inland * steep * (1.0 - inland)), inland > 0.0);
   }
   return vec4<f32>(height, slope, 1.0);
 }
@@ -70,7 +107,7 @@ fn smooth_surface(at: Place) -> vec4<f32> {
 // The height that lines follow: that of the smooth surface where a pixel covers little of a sample, else the ground's.
 // ``by_ray``: where the ray through the pixel meets that surface, else above or below the ground.
 fn smooth_height(at: Place, footprint: f32, direction: vec3<f32>, ground: f32, by_ray: bool) -> f32 {
-  var found = smooth_surface(at);
+  var found = smooth_surface(at, footprint);
   let go = vec2<f32>(dot(camera.inverse.xy, direction.xy), dot(camera.inverse.zw, direction.xy));
   let drop = direction.z / camera.forward.w;
   var height = found.x;
@@ -85,9 +122,9 @@ fn smooth_height(at: Place, footprint: f32, direction: vec3<f32>, ground: f32, b
       break;
     }
     height = ground + gone * drop;
-    found = smooth_surface(moved(at, gone * go));
+    found = smooth_surface(moved(at, gone * go), footprint);
   }
-  return mix(height, ground, max(smoothstep(0.35, 0.7, footprint), select(1.0, 0.0, smooth_surface(at).w > 0.0)));
+  return mix(height, ground, max(smoothstep(0.35, 0.7, footprint), select(1.0, 0.0, smooth_surface(at, footprint).w > 0.0)));
 }
 
 // The largest rate of height on the screen, metres per pixel: of ``slope`` on the tangent plane of slope ``drawn``.

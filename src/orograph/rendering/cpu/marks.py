@@ -101,7 +101,9 @@ class Lines:
         cover *= np.float32(c.opacity)
         if self.letters.words:
             top, _, left, _ = self._area
-            found = self._sheet[np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left]
+            rows, cols = self._sheet.shape[:2]
+            i, j = np.floor(py).astype(np.intp) - top, np.floor(px).astype(np.intp) - left
+            found = self._sheet[i.clip(0, rows - 1), j.clip(0, cols - 1)]  # (silhouettes look farther than labels)
             letters = np.where(np.isnan(hits.t)[:, None], np.float32(0), found * np.float32(1 / 255))
             gaps = np.flatnonzero(letters[:, 1] > 0)
             halo = np.maximum(lifting(out[gaps], LETTERED), np.float32(c.casing or 0))

@@ -6,9 +6,10 @@ has at each the slope that light falls on (central differences, ``lighting.relie
 bicubically blended Coons patch over every cell, with cubic Hermite curves along its edges, across which its slope
 changes linearly, just as the light's does. What the two directions say of the twist in a corner is blended as Gregory
 (1974) has it, so that four heights and four slopes are all a cell needs. Quadratic surfaces are reproduced. Beside
-missing samples lines are the triangles'. In a level cell beside a slope, such as the sea at a coast, the surface dips
-and rises again, and a second line would run along the far side. So the dip is divided by the surface's slope, which
-fades there too: the surface leaves the level at the coast and does not return within the cell.
+missing samples lines are the triangles'. Beside level ground, such as the sea, the surface would dip and rise again and
+scallop the shore. So a shore is straight from sample to sample of the level ground, through cells of which one corner
+is land (of the sea, at height 0) and along others; the surface leaves it on both sides with the slope of the light, and
+over level ground goes no deeper than hides the line.
 Source: Gregory, J. A. (1974). Smooth interpolation without twist constraints.
 *Computer Aided Geometric Design*, Academic Press.
 
@@ -29,8 +30,11 @@ Array = NDArray[np.float64]
 SMALL = 0.35, 0.7
 """Samples that a pixel covers up to which heights are the smooth surface's, and from which on they are the ground's."""
 
-DIP = 4 / 27
-"""The deepest dip in a level cell, as a part of the slope beside it, per sample: that of a cubic curve."""
+SHORE = 0.3
+"""Samples inland from the shore within which heights follow it, less and less."""
+
+CLEAR = 0.15, 6.0
+"""Samples and pixels (the larger) from the shore up to which the surface goes down over level ground."""
 
 STEPS, FAR = 3, 1.5
 """Steps from where a ray meets triangles to where it meets the smooth surface, and how far that may be, samples."""
@@ -73,9 +77,41 @@ def _slope(pool, base, rows, cols, i, j):
 
 
 @leaf
-def _cell(pool, base, rows, cols, x, y):
+def _to_shore(a, b, f, g):
+    """How far (f, g) in a level cell lies from its shore, samples: from edges beyond which both samples differ, and
+    corners beyond which one does, as slopes a and b at the corners tell; inf: there is none."""
+    (a00, a10, a01, a11), (b00, b10, b01, b11) = a, b
+    p, q, far = 1.0 - f, 1.0 - g, np.inf
+    far = f if a00 != 0.0 and a01 != 0.0 else far
+    far = min(far, p) if a10 != 0.0 and a11 != 0.0 else far
+    far = min(far, g) if b00 != 0.0 and b10 != 0.0 else far
+    far = min(far, q) if b01 != 0.0 and b11 != 0.0 else far
+    far = min(far, np.sqrt(f * f + g * g)) if a00 != 0.0 or b00 != 0.0 else far
+    far = min(far, np.sqrt(p * p + g * g)) if a10 != 0.0 or b10 != 0.0 else far
+    far = min(far, np.sqrt(f * f + q * q)) if a01 != 0.0 or b01 != 0.0 else far
+    return min(far, np.sqrt(p * p + q * q)) if a11 != 0.0 or b11 != 0.0 else far
+
+
+@leaf
+def _from_shore(h00, h10, h01, h11, f, g):
+    """How far (f, g) in a cell lies from the shore, samples, negative at sea: the chord between two samples of the sea
+    (height 0) beside land; NaN where none cuts the cell or bounds it."""
+    if min(min(h00, h10), min(h01, h11)) != 0.0:
+        return np.nan
+    west, east, north, south = h00 + h01, h10 + h11, h00 + h10, h01 + h11
+    u, v = f if east > 0.0 else 1.0 - f, g if south > 0.0 else 1.0 - g
+    across, down = min(west, east) == 0.0, min(north, south) == 0.0  # whether a side has no land
+    if across and down:
+        return np.sqrt(0.5) * (u + v - 1.0) if west + east > 0.0 else np.nan
+    if across and min(h00, h01) + min(h10, h11) > 0.0:
+        return u
+    return v if down and min(h00, h10) + min(h01, h11) > 0.0 else np.nan
+
+
+@leaf
+def _cell(pool, base, rows, cols, x, y, footprint):
     """Height of the smooth surface at (x, y) of samples (rows, cols), and the slope that light has there; NaN beside
-    missing samples."""
+    missing samples. ``footprint``: of a pixel, samples."""
     i = min(max(np.int64(np.floor(y)), 0), rows - 2)
     j = min(max(np.int64(np.floor(x)), 0), cols - 2)
     at = base + i * cols + j
@@ -86,14 +122,20 @@ def _cell(pool, base, rows, cols, x, y):
     a01, b01 = _slope(pool, base, rows, cols, i + 1, j)
     a11, b11 = _slope(pool, base, rows, cols, i + 1, j + 1)
     f, g = min(max(x - j, 0.0), 1.0), min(max(y - i, 0.0), 1.0)
-    height = blended((h00, h10, h01, h11), (a00, a10, a01, a11), (b00, b10, b01, b11), f, g)
+    a, b = (a00, a10, a01, a11), (b00, b10, b01, b11)
+    height = blended((h00, h10, h01, h11), a, b, f, g)
     across = (1.0 - g) * ((1.0 - f) * a00 + f * a10) + g * ((1.0 - f) * a01 + f * a11)
     down = (1.0 - g) * ((1.0 - f) * b00 + f * b10) + g * ((1.0 - f) * b01 + f * b11)
+    steep, clear = np.sqrt(across * across + down * down), max(CLEAR[0], CLEAR[1] * footprint)
     if h00 == h10 and h00 == h01 and h00 == h11:
-        most = np.sqrt(max(max(a00 * a00 + b00 * b00, a10 * a10 + b10 * b10),
-                           max(a01 * a01 + b01 * b01, a11 * a11 + b11 * b11)))  # fmt: skip
-        dip = (height - h00) * most / max(np.sqrt(across * across + down * down), 1e-9)
-        height = h00 + min(max(dip, -DIP * most), DIP * most)
+        dip = min(_to_shore(a, b, f, g), clear) * steep
+        return h00 + dip if height > h00 else h00 - dip, across, down
+    inland = _from_shore(h00, h10, h01, h11, f, g)
+    if inland == inland:
+        rise = max(inland, -clear) * steep
+        t = min(max(inland / SHORE, 0.0), 1.0)
+        height = rise + t * t * (3.0 - 2.0 * t) * (height - rise)
+        height = max(height, 0.5 * rise * (1.0 - inland)) if inland > 0.0 else height
     return height, across, down
 
 
@@ -109,7 +151,7 @@ def _smooth(windows, points, footprint, rays, heights):
             continue
         pool, base, rows, cols = windows.pool, windows.base[w], windows.rows[w], windows.cols[w]
         x, y = x - windows.col0[w], y - windows.row0[w]
-        above, across, down = _cell(pool, base, rows, cols, x, y)
+        above, across, down = _cell(pool, base, rows, cols, x, y, footprint[k])
         if above != above:
             continue
         smooth = above
@@ -122,7 +164,7 @@ def _smooth(windows, points, footprint, rays, heights):
                 if not abs(gone) * np.sqrt(u * u + v * v) < FAR:
                     break
                 smooth = heights[k] + gone * drop
-                above, across, down = _cell(pool, base, rows, cols, x + gone * u, y + gone * v)
+                above, across, down = _cell(pool, base, rows, cols, x + gone * u, y + gone * v, footprint[k])
                 if above != above:
                     break
         t = min(max((footprint[k] - SMALL[0]) / (SMALL[1] - SMALL[0]), 0.0), 1.0)
