@@ -172,6 +172,7 @@ def build(
     # (One long function: two thirds of it are its options and their descriptions.)
     from orograph.store import handing
     from orograph.store.adding import Needs, add, is_itself
+    from orograph.store.build_state import check_shareable
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
@@ -216,8 +217,9 @@ def build(
 
         excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
         check_updatable(final, excluded)
-    if workers is not None:
-        jobs = jobs or 1
+    if workers is not None or dask is not None:
+        check_shareable(raster, final)  # before anything is removed
+        jobs = jobs or (1 if dask is None else None)
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
     keep_lattices = keep_source and bool(lattices_of(raster))
     coding = coding_of(raster, codec, max_error)
@@ -341,9 +343,7 @@ def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
 
 def _fill(
     raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, jobs: int, label: str,
-    executor: Executor,
-    progress: Progress,
-    keyed: bool,
+    executor: Executor, progress: Progress, keyed: bool,
 ) -> Record:  # fmt: skip
     """Do all tasks; return the store's record. Args: keyed: see ``ShardWriter``."""
     from orograph.store.groups import Groups

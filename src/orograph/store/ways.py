@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from orograph.errors import UsageError
 from orograph.store.coding import Coding
 from orograph.store.executing import Executor, Threads
-from orograph.store.places import PLAN, UPDATE
+from orograph.store.places import PLAN, UPDATE, remove_unbegun
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
 
@@ -49,7 +49,7 @@ def executor_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at_once: AtOnce, going_on: bool, update: bool, workers: int | None, dask: Any,
 ) -> Iterator[Executor]:  # fmt: skip
-    """Enter the executor for the tasks of a build.
+    """Enter the executor for the tasks of a build, which leaves nothing there if it fails before a task is done.
 
     Args:
         storage: where the store is built; its plan is there.
@@ -60,9 +60,24 @@ def executor_of(
     Raises:
         UsageError: there is no such cluster, or this terrain cannot be built on one.
     """
-    if workers is None and dask is None:
-        yield Threads(at_once.jobs, going_on)
-        return
+    try:
+        if workers is None and dask is None:
+            yield Threads(at_once.jobs, going_on)
+        else:
+            with _cluster(raster, storage, storage_options, plan, coding, at_once, update, workers, dask) as cluster:
+                yield cluster
+    except Exception:
+        if not update:
+            remove_unbegun(storage)
+        raise
+
+
+@contextmanager
+def _cluster(
+    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
+    coding: Coding | None, at_once: AtOnce, update: bool, workers: int | None, dask: Any,
+) -> Iterator[Executor]:  # fmt: skip
+    """Enter a cluster that builds a store."""
     from orograph.store.build_state import recipe_of
     from orograph.store.clusters import Cluster, levels_of
     from orograph.store.workforce import workforce
