@@ -59,6 +59,10 @@ def test_options_of_other_libraries(dem, option, there):
 def test_suns_and_points_that_are_given_otherwise(dem):
     with pytest.raises(UsageError, match=r"sun=\(315, 45\)"):
         orograph.light(dem, "hillshade", azimuth=315)
+    with pytest.raises(UsageError, match=r"light\(dem, 'slope'\).save\('slope.tif'\)"):
+        orograph.light(dem, "slope", output="slope.tif")
+    with pytest.raises(AttributeError, match=r"no attribute 'length'. There are .*pick, .*profile"):
+        _ = orograph.measure.length
     with pytest.raises(UsageError, match=r"Its signature is profile\(terrain, polyline, lonlat\)"):
         orograph.measure.profile(dem, (500_100, 3_999_000), (500_900, 3_999_500))
 

@@ -96,6 +96,8 @@ class Options:
                 there = f"The options are {', '.join(sorted({*known, *MORE}))}."
                 if name in ("azimuth", "altitude", "az", "alt", "angle_altitude", "elevation"):
                     remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
+                elif name in ("output", "path", "filename", "out"):
+                    remedy = "Save the result: `orograph.light(dem, 'slope').save('slope.tif')`."
                 else:
                     remedy = f"Did you mean {' or '.join(close)}?" if close else there
                 raise UsageError(f"There is no option {name!r}.", remedy=remedy)

@@ -36,7 +36,9 @@ OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_uni
 """How to read a file; ``OF_ARRAYS`` also apply to heights in memory."""
 OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
 """How points are read and become a surface (``dem.gridding``)."""
-OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
+OF_LABELLED = ("nodata", "vertical_unit", "assume_vertical", "name")
+"""How to read a DataArray, which has its own place."""
+OF_ARRAYS = ("transform", "spacing", *OF_LABELLED)
 OF_AREAS = ("bbox", "clip")
 """Which part of the ground to read (``dem.area``)."""
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
@@ -269,11 +271,12 @@ def _dem(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> t
     if xarray is not None and isinstance(one, xarray.DataArray | xarray.Dataset):
         from orograph.dem import dataarray
 
-        _fitting(reading, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which has its own")
+        how = _fitting(reading, (*OF_GRIDS, *OF_LABELLED, "assume_crs"), "a DataArray")
         array = the_heights(one)
         if dataarray.says_crs(array):
             crs, own = None, False
-        return dataarray.from_xarray(array, crs=crs, name=reading.get("name")), own
+        how = {name: value for name, value in how.items() if name in OF_LABELLED}
+        return dataarray.from_xarray(array, crs=crs, **how), own
     if not _is_heights(one):
         raise refused(one, called)
     how = _fitting(reading, (*OF_GRIDS, *OF_ARRAYS, "assume_crs"), "an array")
