@@ -61,6 +61,8 @@ def test_suns_and_points_that_are_given_otherwise(dem):
         orograph.light(dem, "hillshade", azimuth=315)
     with pytest.raises(UsageError, match=r"light\(dem, 'slope'\).save\('slope.tif'\)"):
         orograph.light(dem, "slope", output="slope.tif")
+    with pytest.raises(UsageError, match="`resolution` must be one or several numbers"):
+        orograph.terrain(dem, resolution="fine")
     with pytest.raises(AttributeError, match=r"no attribute 'length'. There are .*pick, .*profile"):
         _ = orograph.measure.length
     with pytest.raises(UsageError, match=r"Its signature is profile\(terrain, polyline, lonlat\)"):
@@ -172,3 +174,15 @@ def test_names_that_modules_do_not_have(module, name, meant):
     with pytest.raises(AttributeError, match=f"Did you mean {meant}"):
         getattr(getattr(orograph, module), name)
     assert not hasattr(getattr(orograph, module), "zzzz")
+
+
+def test_texts_of_several_parts(dem):
+    """What the command line writes as one text may be that text here."""
+    lights = [orograph.light(dem, "hillshade", lights=these).values
+              for these in (["315,45", "225,30,1"], [(315, 45), (225, 30, 1.0)])]  # fmt: skip
+    np.testing.assert_array_equal(*lights)
+    line = [(500_100, 3_999_000), (501_900, 3_999_500)]
+    texts = ["500100,3999000", "501900,3999500"]
+    assert orograph.measure.profile(dem, texts).length == orograph.measure.profile(dem, line).length
+    assert orograph.measure.place(dem, texts[0]) == orograph.measure.place(dem, line[0])
+    assert orograph.terrain(dem, resolution="60").grid.spacing == orograph.terrain(dem, resolution=60).grid.spacing

@@ -14,7 +14,7 @@ Torge & Müller (2012), *Geodesy*, §4.1.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
 
@@ -27,6 +27,7 @@ from orograph.geo.ellipsoid import Ellipsoid
 from orograph.geo.local import LocalFrame
 from orograph.geo.operations import same_body
 from orograph.geo.transform import transformer
+from orograph.several import numbers
 from orograph.store.opening import terrain as opened
 
 Array = NDArray[np.float64]
@@ -87,14 +88,19 @@ class Places:
         """Points (n, 2) = easting, northing, checked to be numbers and on the terrain.
 
         Args:
+            given: (n, 2) numbers, or a text for each point: "-71.3,44.2".
             lonlat: they are given as longitude, latitude in degrees.
 
         Raises:
             UsageError: they are not, or there are fewer than ``least``.
         """
         try:
+            if isinstance(given, str):
+                given = [given]
+            if isinstance(given, Sequence) and given and all(isinstance(one, str) for one in given):
+                given = [numbers(one, "point") for one in given]
             found = np.atleast_2d(np.asarray(given, np.float64))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, UsageError) as error:
             raise UsageError(f"{what} must be easting and northing, two numbers each, not {given!r}.") from error
         if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
             raise UsageError(f"{what} must be easting and northing, two finite numbers each, not {given!r}.")
