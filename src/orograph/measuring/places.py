@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod
 
+from orograph.dem.area import lonlat_bounds
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.geo.local import LocalFrame
@@ -142,7 +143,7 @@ class Places:
         raise UsageError(
             f"The point {point[0]:.10g}, {point[1]:.10g} lies {' and '.join(ways)} of {self.terrain.name}, whose "
             f"surface reaches from {x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}"
-            f"{self._degrees(x, y)}. The nearest point of it is {self._nearest(at)}.",
+            f"{self._degrees()}. The nearest point of it is {self._nearest(at)}.",
             remedy=self._remedy(point),
         )
 
@@ -188,13 +189,11 @@ class Places:
         lon, lat = degrees[0]
         return f"{written} (longitude {lon:.{digits + 6}f}, latitude {lat:.{digits + 6}f})"
 
-    def _degrees(self, x: Array, y: Array) -> str:
-        if self.degrees is None:
+    def _degrees(self) -> str:
+        found = lonlat_bounds(self.grid)
+        if found is None:
             return ""
-        corners = self.lonlat(np.stack([x, y], axis=-1))
-        if corners is None or not np.isfinite(corners).all():
-            return ""
-        (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+        west, south, east, north = found
         return f" (longitudes {west:.6g} to {east:.6g}, latitudes {south:.6g} to {north:.6g})"
 
     def lonlat(self, points: Array) -> Array | None:
