@@ -186,3 +186,24 @@ def test_texts_of_several_parts(dem):
     assert orograph.measure.profile(dem, texts).length == orograph.measure.profile(dem, line).length
     assert orograph.measure.place(dem, texts[0]) == orograph.measure.place(dem, line[0])
     assert orograph.terrain(dem, resolution="60").grid.spacing == orograph.terrain(dem, resolution=60).grid.spacing
+
+
+@pytest.mark.parametrize("verb", ["export", "difference", "contours"])
+def test_no_result_replaces_what_it_is_made_from(dem, tmp_path, verb):
+    path = orograph.export(dem, tmp_path / "dem.tif")
+    if verb == "contours":
+        path = tmp_path / "points.gpkg"
+        geopandas = pytest.importorskip("geopandas")
+        x, y = np.random.default_rng(1).uniform((500_000, 3_999_000), (500_900, 3_999_900), (60, 2)).T
+        places = geopandas.points_from_xy(x, y)
+        geopandas.GeoDataFrame({"z": x % 70}, geometry=places, crs=32611).to_file(path, layer="points")
+    before = path.read_bytes()
+    again = path.parent / ".." / path.parent.name / path.name
+    calls = {
+        "export": lambda: orograph.export(path, again, overwrite=True),
+        "difference": lambda: orograph.difference(dem, [path], ["change.tif", again]),
+        "contours": lambda: orograph.contours(path, 10, output=again),
+    }
+    with pytest.raises(UsageError, match="would overwrite what it is made from"):
+        calls[verb]()
+    assert path.read_bytes() == before

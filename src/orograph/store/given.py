@@ -16,6 +16,7 @@ import numpy as np
 
 from orograph._named import remedy
 from orograph.errors import UsageError
+from orograph.output import same_file
 from orograph.progress import SILENT, Progress
 from orograph.store.detect import is_store
 from orograph.store.memory import MemoryTerrain, is_metric
@@ -74,6 +75,12 @@ def files_of(given: Any) -> list[str] | None:
         if len(found) == len(given) and None not in found:
             return [path for one in found for path in one or ()]
     return None
+
+
+def check_apart(output: str | os.PathLike[str], *given: Any) -> None:
+    """Raise UsageError if a result would replace a file that it is made from."""
+    if any(same_file(output, path) for one in given for path in files_of(one) or ()):
+        raise UsageError("The result would overwrite what it is made from.", path=output, remedy="Choose another file.")
 
 
 def matching(path: str) -> list[str]:

@@ -31,7 +31,7 @@ from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import Numbers, numbers
-from orograph.store.given import OF_AREAS, check_names, files_of, source_of, source_of_terrain
+from orograph.store.given import OF_AREAS, check_apart, check_names, files_of, source_of, source_of_terrain
 from orograph.store.memory import MemoryTerrain
 from orograph.store.source import HeightSource
 from orograph.store.stored import StoredTerrain
@@ -269,6 +269,7 @@ def difference(
     for out in outputs:
         check_output(out)
         check_folder(out)
+        check_apart(out, a, b)
     wanted = numbers(quantiles, "quantiles")
     if not all(0 <= q <= 1 for q in wanted):
         raise UsageError(f"`quantiles` must be numbers from 0 to 1, not {quantiles!r}.")
