@@ -6,9 +6,12 @@ import re
 
 import numpy as np
 import pytest
+import rasterio
 from affine import Affine
+from click.testing import CliRunner
 
 import orograph
+from orograph.cli import cli
 from orograph.errors import ReadError, UsageError
 
 
@@ -207,3 +210,19 @@ def test_no_result_replaces_what_it_is_made_from(dem, tmp_path, verb):
     with pytest.raises(UsageError, match="would overwrite what it is made from"):
         calls[verb]()
     assert path.read_bytes() == before
+
+
+def test_a_build_warns_of_what_is_doubtful(dem, tmp_path):
+    heights = dem.heights.copy()
+    heights[20:40, 30:60] = -9999
+    path = tmp_path / "dem.tif"
+    profile = {"driver": "GTiff", "width": 80, "height": 60, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", transform=dem.grid.transform, **profile) as file:
+        file.write(heights, 1)
+    with pytest.warns(UserWarning) as told:
+        orograph.build(path, tmp_path / "a.oro")
+    said = [str(one.message) for one in told]
+    for words in ("It has no CRS", "Its lowest stored number is -9999"):
+        assert sum(words in text for text in said) == 1, said
+    ran = CliRunner().invoke(cli, ["build", str(path), "-o", str(tmp_path / "b.oro")], obj={})
+    assert ran.exit_code == 0 and all(ran.stderr.count(one) == 1 for one in ("no CRS", "--nodata -9999"))

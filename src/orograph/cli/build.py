@@ -218,8 +218,6 @@ def command(
         raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
-    for warning in getattr(source, "warnings", ()):
-        progress.warn(warning)
     try:
         terrain: StoredTerrain | None = build(
             source,

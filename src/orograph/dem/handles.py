@@ -201,7 +201,7 @@ def locate(path: str | os.PathLike[str]) -> str:
     if file.is_dir() and not (file / "hdr.adf").exists() and file.suffix.lower() != ".zarr":
         if (file / "zarr.json").exists():
             raise ReadError(
-                "This is a store: give it alone, open it (`orograph.open`), or write it to a raster (`orograph.export`).",
+                "This is a store: give it alone, open it (`orograph.open`), or export it (`orograph.export`).",
                 path=text,
             )
         raise ReadError(
