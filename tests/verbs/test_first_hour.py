@@ -64,7 +64,7 @@ def test_suns_and_points_that_are_given_otherwise(dem):
         orograph.light(dem, "hillshade", azimuth=315)
     with pytest.raises(UsageError, match=r"light\(dem, 'slope'\).save\('slope.tif'\)"):
         orograph.light(dem, "slope", output="slope.tif")
-    with pytest.raises(UsageError, match="`errors`, `tins`, `chunked` and `quadtin`"):
+    with pytest.raises(UsageError, match="stored by errors=, tins=, chunked= and quadtin="):
         orograph.build(dem, "area.oro", methods="bdam")
     with pytest.raises(UsageError, match="`resolution` must be one or several numbers"):
         orograph.terrain(dem, resolution="fine")

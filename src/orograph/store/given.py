@@ -53,8 +53,8 @@ READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF
 
 
 NEEDS = (
-    "What methods need is stored by `errors`, `tins`, `chunked` and `quadtin` (`help(orograph.build)`); what a store "
-    "lacks is made when a method needs it."
+    "What methods need is stored by errors=, tins=, chunked= and quadtin= (`help(orograph.build)`); what a store lacks "
+    "is made when a method needs it."
 )
 
 
