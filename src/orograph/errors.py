@@ -120,6 +120,9 @@ def absent(module: str, name: str, names: Iterable[str]) -> AttributeError:
     """
     import difflib
 
-    close = [] if name.startswith("_") else difflib.get_close_matches(name, list(names), 2, 0.6)
+    known = [] if name.startswith("_") else sorted(names)
+    close = difflib.get_close_matches(name, known, 2, 0.6)
+    functions = [one for one in known if one.islower()]
     meant = f". Did you mean {' or '.join(f'{module}.{one}' for one in close)}?" if close else ""
-    return AttributeError(f"{module} has no attribute {name!r}{meant}")
+    there = f". There are {', '.join(functions)}." if functions and not close else ""
+    return AttributeError(f"{module} has no attribute {name!r}{meant}{there}")

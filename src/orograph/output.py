@@ -26,6 +26,14 @@ def check_folder(path: Path) -> None:
         raise OutputError(f"There is no folder {path.parent} to write to.", path=path, remedy="Make it first.")
 
 
+def same_file(a: str | os.PathLike[str], b: str | os.PathLike[str]) -> bool:
+    """Whether two paths are the same file, or will be once both exist."""
+    try:
+        return Path(a).samefile(b)
+    except (OSError, ValueError):
+        return os.path.normcase(os.path.realpath(a)) == os.path.normcase(os.path.realpath(b))
+
+
 def check_vacant(path: Path, overwrite: bool) -> None:
     """Raise OutputError if a file is there that must not be replaced."""
     if path.exists() and not overwrite:

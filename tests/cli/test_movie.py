@@ -113,7 +113,8 @@ def test_what_is_said_beside_the_tour_holds(run, hilly, tour, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("-o", "a.mp4"), "--tour or a kind"),
+        (("-o", "a.mp4", "--tour", "t.json", "--orbit"), "Give a tour or describe one"),
+        (("-o", "a.mp4", "--tour", "t.json", "--seconds", "2"), "--seconds does not apply to a tour that is given"),
         (("-o", "a.mp4", "--orbit", "--turntable"), "two tours"),
         (("-o", "a.mp4", "--orbit", "--height", "5"), "--height does not apply"),
         (("-o", "a.avi", "--orbit"), ".avi"),
@@ -167,8 +168,12 @@ def test_tours_are_made_and_told(run, hilly, tmp_path):
     assert code == 0 and "1280 × 720" in said and "spline" in said
     code, said, _ = run("tour", "info", path, "--json")
     assert code == 0 and json.loads(said)["duration"] == pytest.approx(9)
-    code, _, err = run("tour", "new", hilly, "-o", path)
-    assert code == 2 and "Which kind" in err
+    code, _, err = run("tour", hilly, "-o", path)
+    assert code == 2 and "orograph tour new DEM -o TOUR.json" in err
+    for name, kind in (("a.json", []), ("b.json", ["--orbit"])):
+        code, _, err = run("tour", "new", hilly, *kind, "-o", tmp_path / name)
+        assert code == 0, err
+    assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
 
 
 def test_a_tour_in_degrees_is_told_in_the_terrains_crs(run, tmp_path):

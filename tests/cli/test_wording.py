@@ -145,12 +145,19 @@ def test_warnings_speak_so_too(run, nowhere, tmp_path) -> None:  # type: ignore[
 @pytest.mark.parametrize(
     ("verb", "given", "meant"),
     [("render", "--legend", "--furniture"), ("render", "--scale-bar", "--furniture"), ("movie", "--cmap", "--colormap"),
-     ("render", "--overlay", "--drape"), ("build", "--threads", "--jobs"), ("render", "--dpi", "--size")],
+     ("render", "--overlay", "--drape"), ("build", "--threads", "--jobs"), ("render", "--dpi", "--size"),
+     ("render", "--extent", "--bbox"), ("tin", "--tolerance", "--max-error"), ("best-view", "--lonlat", "--target"),
+     ("movie", "--duration", "--seconds"), ("light", "--azimuth", "--sun AZIMUTH,ALTITUDE")],
 )  # fmt: skip
 def test_names_from_elsewhere_are_led_to_ours(run, verb, given, meant):
     code, _, words = run(verb, "dem.tif", given)
     assert code == 2
     assert f"Did you mean '{meant}'?" in words
+
+
+def test_a_name_that_may_mean_several_is_led_to_all(run):
+    words = run("render", "dem.tif", "--azimuth", "300")[2]
+    assert "(Did you mean one of: '--from', '--sun AZIMUTH,ALTITUDE'?)" in words
 
 
 def test_a_slip_is_still_led_to_the_nearest(run):

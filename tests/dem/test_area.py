@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
 import orograph
+from orograph.dem.area import lonlat_bounds
 from orograph.dem.mosaic import Mosaic
 from orograph.dem.raster import Dem
 from orograph.errors import ReadError, UsageError
@@ -183,3 +184,20 @@ def test_what_is_wrong_is_said(utm: Path, tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="cannot be read"):
         Mosaic.open(utm, clip=tmp_path / "none.geojson")
     assert CRS.from_epsg(32611) == Mosaic.open(utm, bbox=box_of(0, 9, 0, 9)).grid.crs
+
+
+@pytest.mark.parametrize(
+    ("crs", "corner", "cell", "expected"),
+    [
+        ("+proj=eqc +R=1737400", (-5_460_000, 2_740_000), 20_000, (-179.7, -90, 179.7, 90)),  # a whole Moon
+        ("+proj=eqc +lon_0=180 +R=1737400", (-2_730_000, 1_365_000), 10_000, (90.1, -45.2, -90.1, 44.8)),
+        ("EPSG:3413", (-2_000_000, 2_000_000), 7_500, (-180, 63.1, 180, 90)),  # around the pole
+        ("EPSG:3031", (500_000, 2_000_000), 2_000, (14.1, -80.5, 60.3, -66.8)),  # beside it
+        ("EPSG:32760", (600_000, 8_000_000), 800, (177.9, -22, -177.8, -18)),  # across the 180th meridian
+        ("EPSG:32631", (500_000, 5_000_000), 100, (3, 44.7, 3.7, 45.2)),
+    ],
+)
+def test_the_degrees_that_a_raster_spans(crs, corner, cell, expected):
+    shape = (274, 546) if "eqc" in crs else (547, 547)
+    grid = Grid(shape, Affine(cell, 0, corner[0], 0, -cell, corner[1]), CRS.from_user_input(crs))
+    assert lonlat_bounds(grid) == pytest.approx(expected, abs=0.06)

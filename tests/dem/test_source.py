@@ -410,3 +410,21 @@ def test_a_dem_says_what_to_use() -> None:
         with pytest.raises(AttributeError, match=here):
             getattr(dem, name)
     assert not hasattr(dem, "__geo_interface__")
+
+
+def test_a_raster_that_is_read_as_a_whole_warns_as_all_functions_do(tmp_path: Path) -> None:
+    path = tmp_path / "dem.tif"
+    y, x = np.mgrid[:60, :70]
+    heights = (500 + 20 * np.sin(x / 9) * np.cos(y / 7)).astype("float32")
+    heights[20:40, 30:60] = -9999
+    with rasterio.open(path, "w", driver="GTiff", width=70, height=60, count=1, dtype="float32") as file:
+        file.write(heights, 1)
+    with pytest.warns(UserWarning) as told:
+        read(path)
+    texts = [str(one.message) for one in told]
+    assert any("samples are assumed to be 1 m apart" in text for text in texts)
+    assert any("-9999" in text and "nodata" in text for text in texts)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", UserWarning)
+        read(path, progress=False)
+        read(path, spacing=30, nodata=-9999)

@@ -241,7 +241,8 @@ def test_wrong_options_are_refused(heights):
         lighting.make(heights, "sky", cell=CELL)
     for wrong in (
         {"azimuths": 2}, {"azimuths": 8.5}, {"radius": 0.0}, {"radius": np.inf}, {"radius": "300"}, {"jobs": 0},
-        {"refraction": np.nan}, {"exaggeration": 0.0}, {"lights": ((315.0, 45.0),)}, {"lights": ((0, 0, np.nan),)},
+        {"refraction": np.nan}, {"exaggeration": 0.0}, {"lights": ((315.0,),)}, {"lights": ("315,north",)},
+        {"lights": ((0, 0, np.nan),)},
     ):  # fmt: skip
         with pytest.raises(UsageError):
             lighting.make(heights, "visible-sky", cell=CELL, **wrong)

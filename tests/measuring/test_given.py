@@ -80,7 +80,7 @@ def test_names_are_the_command_lines():
 def test_a_profile_goes_to_a_gis(tmp_path):
     line = corners((5, 5), (30, 7), (20, 30))
     found = measure.profile(TERRAIN, line)
-    found.save_geojson(tmp_path / "p.geojson")
+    found.save(tmp_path / "p.geojson")
     (feature,) = json.loads((tmp_path / "p.geojson").read_text())["features"]
     places = np.array(feature["geometry"]["coordinates"])
     np.testing.assert_allclose(measure.Places(TERRAIN).of_lonlat(places[:, :2]), found.points, atol=1e-3)
@@ -89,4 +89,4 @@ def test_a_profile_goes_to_a_gis(tmp_path):
     back = measure.profile(TERRAIN, tmp_path / "p.geojson")
     assert back.length == pytest.approx(found.length, rel=1e-6)
     with pytest.raises(UsageError, match="no CRS"):
-        measure.profile(terrain_of(rough((40, 50))), line).save_geojson(tmp_path / "q.geojson")
+        measure.profile(terrain_of(rough((40, 50))), line).save(tmp_path / "q.geojson")

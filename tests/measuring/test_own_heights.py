@@ -56,7 +56,7 @@ def test_between_samples_heights_are_bilinear(tmp_path):
     found = [measuring.place(terrain, p).height for p in points]
     np.testing.assert_allclose(found, expected, atol=1e-3)
     line = measuring.profile(terrain, points[:3])
-    line.save_csv(tmp_path / "p.csv", every=500.0)
+    line.save(tmp_path / "p.csv", every=500.0)
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     at = np.array([[float(r["longitude"]), float(r["latitude"])] for r in rows])

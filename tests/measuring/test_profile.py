@@ -187,7 +187,7 @@ def test_the_table_reads_back(tmp_path):
     h = rough((30, 33), 4)
     h[10] = np.nan
     found = profile(terrain_of(h, SQUARE, "EPSG:32611"), [(500_100, 3_999_900), (500_700, 3_999_300)])
-    found.save_csv(tmp_path / "p.csv")
+    found.save(tmp_path / "p.csv")
     with (tmp_path / "p.csv").open(encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     names = ["distance_m", "ground_m", "easting", "northing", "longitude", "latitude", "height_m", "surface_height_m"]
@@ -200,7 +200,7 @@ def test_the_table_reads_back(tmp_path):
     assert np.isnan(z).any()
     np.testing.assert_allclose([float(r["longitude"]) for r in table], found.lonlat[:, 0], atol=1e-8)
     with pytest.raises(OutputError, match="folder"):
-        found.save_csv(tmp_path / "no" / "p.csv")
+        found.save(tmp_path / "no" / "p.csv")
 
 
 def test_a_store_gives_the_same_and_is_read_by_tiles(tmp_path, monkeypatch):

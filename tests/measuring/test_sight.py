@@ -153,7 +153,6 @@ def test_plots(tmp_path, monkeypatch):
     from PIL import Image
 
     from orograph.measuring import profile
-    from orograph.measuring.plot import save_profile, save_sight
 
     terrain = of_function((50, 50), lambda x, y: 300 + 100 * np.sin(x / 200) * np.cos(y / 150))
     h = terrain.heights.copy()
@@ -161,17 +160,20 @@ def test_plots(tmp_path, monkeypatch):
     holed = terrain_of(h)
     ends = [(500_100, 3_999_900), (501_400, 3_998_600)]
     for made, name in ((profile(terrain, ends), "a.png"), (profile(holed, ends), "b.svg")):
-        save_profile(made, tmp_path / name)
+        assert made.save(tmp_path / name) == tmp_path / name
     sights = [line_of_sight(t, *ends, e) for t, e in ((terrain, 2.0), (terrain, 900.0), (holed, 2.0))]
     assert [s.visible for s in sights][:2] == [False, True]
     for k, sight in enumerate(sights):
-        save_sight(sight, tmp_path / f"s{k}.png")
+        sight.save(tmp_path / f"s{k}.png")
         with Image.open(tmp_path / f"s{k}.png") as image:
             colors = {tuple(c) for c in np.asarray(image.convert("RGB")).reshape(-1, 3)}
         assert ((198, 47, 29) in colors) == (not sight.visible)  # the mark
     assert "Profile over ground" in (tmp_path / "b.svg").read_text() or "<svg" in (tmp_path / "b.svg").read_text()
     with pytest.raises(UsageError, match=r"\.svg"):
-        save_profile(profile(terrain, ends), tmp_path / "a.txt")
+        profile(terrain, ends).save(tmp_path / "a.txt")
+    with pytest.raises(UsageError, match=r"\.csv, \.png"):
+        sights[0].save(tmp_path / "a.geojson")
+    assert sights[0].save(tmp_path / "s.csv").read_text().startswith("distance_m,")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ReadError, match=r"orograph\[sample\]"):
-        save_profile(profile(terrain, ends), tmp_path / "c.png")
+        profile(terrain, ends).save(tmp_path / "c.png")

@@ -14,7 +14,7 @@ from surfaces import rough, source
 from test_in_parts import files
 
 from orograph import store
-from orograph.errors import StoreError, UsageError
+from orograph.errors import ReadError, StoreError, UsageError
 from orograph.store import clusters, workforce
 from orograph.store.stored import StoredTerrain
 
@@ -103,9 +103,38 @@ def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
     assert files(tmp_path / "s") == files(tmp_path / "whole") and len(files(tmp_path / "s")) > 9
 
 
+def damaged(path):
+    """A DEM that lacks its end."""
+    written(path)
+    with path.open("r+b") as file:
+        file.truncate(path.stat().st_size - 300_000)
+    return path
+
+
 def test_files_that_workers_cannot_have(tmp_path, client):
     with pytest.raises(UsageError, match="not in files"):
         store.build(source(rough((200, 200), 1)), tmp_path / "s", dask=client, **SIZES)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_file_is_an_error_of_that_file(tmp_path, client):
+    """One message, as a build by threads has it; no tracebacks of Dask; and nothing is left."""
+    dem = damaged(tmp_path / "a.tif")
+    with pytest.raises(ReadError) as alone:
+        store.build(dem, tmp_path / "s", **SIZES | {"shard": 1024})
+    with pytest.raises(ReadError) as caught:
+        store.build(dem, tmp_path / "s", dask=client, **SIZES | {"shard": 1024})
+    assert str(caught.value) == str(alone.value)
+    assert not any("Compute Failed" in line for log in client.get_worker_logs().values() for _, line in log)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif"]
+
+
+def test_several_damaged_blocks_are_listed(tmp_path, client):
+    dem = damaged(tmp_path / "a.tif")
+    expected = r"^\S+s.partial: \d+ tasks of 'Building.*given up after 4 tries: .*block.*resume=True"
+    with pytest.raises(ReadError, match=expected) as caught:
+        store.build(dem, tmp_path / "s", dask=client, **SIZES)
+    assert ".." not in str(caught.value)
 
 
 def test_what_was_given_up_is_told_and_resumed(tmp_path, client):

@@ -218,6 +218,15 @@ def test_xarray(path: Path) -> None:
         assert orograph.terrain(array, crs="EPSG:3310").grid.crs.to_epsg() == 3310  # type: ignore[union-attr]
         with pytest.raises(ReadError, match="complex"):
             orograph.terrain(array.astype(complex))
+        feet = orograph.terrain(array, vertical_unit="ft", assume_vertical="EGM96")
+        np.testing.assert_allclose(feet.read(0, 0, 40, 0, 50), values() * 0.3048, rtol=1e-6)
+        assert feet.vertical == "EGM96 height"
+        at_first = orograph.terrain(array, nodata=float(values()[0, 0]))
+        assert np.isnan(at_first.read(0, 0, 1, 0, 1)).all()
+        declared = array.assign_attrs(units="cm")
+        check(orograph.terrain(declared, vertical_unit="m"), values())
+        with pytest.raises(UsageError, match="'ell' is not a known unit"):
+            orograph.terrain(array, vertical_unit="ell")
     with xr.open_dataset(path, engine="rasterio") as opened:
         check(orograph.terrain(opened), values())
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+from hashlib import blake2b
+
 import numpy as np
 import pytest
 from surfaces import rough, source
 
 from orograph import store
-from orograph.errors import StoreError, UsageError
+from orograph.errors import ReadError, StoreError, UsageError
 from orograph.store.groups import Groups
 from orograph.store.in_parts import levels_of, part_of, share
 from orograph.store.lock import alone
@@ -85,6 +88,56 @@ def test_finish_waits_for_no_part_and_has_the_store_alone(tmp_path):
             store.build(given, tmp_path / "s", part=(1, 2), **SIZES)
         with pytest.raises(StoreError, match="Another process"):
             store.build(given, tmp_path / "s", finish=True, **SIZES)
+
+
+class Damaged(store.ArraySource):
+    """Heights whose last rows cannot be read."""
+
+    def read(self, row0, row1, col0, col1):
+        if row1 > 650:
+            raise ReadError("The block of rows 650–699 cannot be read.", path="a.tif")
+        return super().read(row0, row1, col0, col1)
+
+
+@pytest.mark.parametrize("how", [{}, {"resume": True}, {"part": (1, 1)}, {"part": (2, 2)}])
+def test_a_build_whose_first_task_fails_leaves_nothing(tmp_path, how):
+    heights = rough((700, 530), 4)
+    whole = SIZES | {"shard": 1024}
+    damaged = Damaged(heights, source(heights).grid, "rough", None)
+    with pytest.raises(ReadError, match="650"):
+        store.build(damaged, tmp_path / "s", **whole, **how)
+    assert not list(tmp_path.iterdir())
+    store.build(source(heights), tmp_path / "s", **whole).close()  # no `resume`, no `overwrite`
+
+
+def test_a_part_that_fails_leaves_what_other_parts_make(tmp_path):
+    heights = rough((700, 530), 4)
+    given = Damaged(heights, source(heights).grid, "rough", None)
+    store.build(given, tmp_path / "s", part=(1, 2), **SIZES)
+    before = files(tmp_path)
+    with pytest.raises(ReadError, match="650"):
+        store.build(given, tmp_path / "s", part=(2, 2), **SIZES)
+    assert before.items() <= files(tmp_path).items()  # and some shards of its own
+
+
+def test_a_part_that_fails_leaves_the_plan_to_a_part_that_works(tmp_path, monkeypatch):
+    heights = rough((200, 200), 4)
+    given = Damaged(heights, source(heights).grid, "rough", None)
+    grown = store.ArraySource.read
+    path = tmp_path / "s"
+
+    def fails_beside_another(self, *window):
+        plan = (tmp_path / "s.partial/build.json").read_bytes()
+        held.enter_context(alone(FolderStorage(path), "building", shared=blake2b(plan, digest_size=16).hexdigest()))
+        raise ReadError("The block cannot be read.", path="a.tif")
+
+    with contextlib.ExitStack() as held:
+        monkeypatch.setattr(Damaged, "read", fails_beside_another)
+        with pytest.raises(ReadError):
+            store.build(given, path, part=(1, 1), **SIZES)
+        assert (tmp_path / "s.partial/build.json").is_file()
+    monkeypatch.setattr(Damaged, "read", grown)
+    store.build(given, path, part=(1, 1), **SIZES)
 
 
 @pytest.mark.parametrize("said", ["0/4", "5/4", "3", "a/b", (1, 2, 3)])

@@ -135,8 +135,7 @@ store.build(source(rough((300, 260), 9, missing=0.01)), sys.argv[1], shard=64, c
 """
     ran = subprocess.run([sys.executable, "-c", code, tmp_path / "s"], capture_output=True, text=True)
     assert ran.returncode == 1 and "File too large" in ran.stderr and "`resume=True`" in ran.stderr
-    with pytest.raises(StoreError, match="incomplete"):
-        store.open(tmp_path / "s")
+    assert not list(tmp_path.iterdir())  # not one shard was complete
     store.build(source(HEIGHTS), tmp_path / "s", resume=True, **SIZES)
     assert files(tmp_path / "s") == whole
 

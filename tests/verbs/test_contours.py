@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 import orograph
 from orograph.cli import cli
-from orograph.errors import UsageError
+from orograph.errors import OutputError, UsageError
 from orograph.verbs.contours import ContourLines, traced
 
 FUJI = Path(__file__).parents[3] / "shared/data/martini-fuji"
@@ -81,6 +81,21 @@ def test_files_of_gdal(dem, tmp_path, ending):
     assert not [p for p in tmp_path.iterdir() if p.stem != "lines"]
     lines.save(path)
     assert len(raw.read(path)[2]) == len(lines)
+
+
+def test_a_geopackage_with_layers_of_others_is_not_replaced(dem, tmp_path):
+    geopandas, shapely = pytest.importorskip("geopandas"), pytest.importorskip("shapely")
+    out = tmp_path / "project.gpkg"
+    for layer in ("roads", "parcels"):
+        geopandas.GeoDataFrame(geometry=[shapely.Point(1, 2)], crs=4326).to_file(out, layer=layer)
+    before = out.read_bytes()
+    with pytest.raises(OutputError, match="holds the layers parcels, roads, which would be lost"):
+        orograph.contours(dem, 20, output=out)
+    with pytest.raises(OutputError, match="parcels, roads"):
+        orograph.measure.viewshed(dem, dem.grid.xy(9, 9), radius=300).save(out)
+    assert out.read_bytes() == before
+    for _ in range(2):  # its own layer may be replaced
+        orograph.contours(dem, 20, output=tmp_path / "lines.gpkg")
 
 
 def test_geoparquet(dem, tmp_path):

@@ -217,6 +217,12 @@ def test_units_that_may_be_wrong(pair):
         UserWarning, match=r"The heights of feet are 3\.28 times those of the other: they may be in feet"
     ):
         orograph.difference(pair[0], feet)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = orograph.difference(pair[0].to_xarray(), feet.to_xarray(), vertical_unit="m,ft")
+    np.testing.assert_allclose(found.values, orograph.difference(*pair).values, atol=0.01)
+    with pytest.raises(UsageError, match="one unit, or two"):
+        orograph.difference(pair[0], feet, vertical_unit="m,ft,m")
 
 
 @pytest.mark.parametrize(

@@ -55,6 +55,17 @@ def test_an_area_holds_the_samples_within(shared_data: Path, tmp_path: Path) -> 
     assert transform.almost_equals(at)
 
 
+def test_files_come_onto_the_grid_that_is_asked_for(shared_data: Path, tmp_path: Path) -> None:
+    dem, box = str(shared_data / "n44w072-hgt/N44W072.hgt"), "-71.4,44.2,-71.2,44.35"
+    how = {"crs": "EPSG:32619", "resolution": 200, "resampling": "cubic", "bbox": box}
+    run("export", dem, "-o", tmp_path / "a.tif", *(text for k, v in how.items() for text in (f"--{k}", v)))
+    orograph.export(dem, tmp_path / "b.tif", progress=False, **how)
+    with rasterio.open(tmp_path / "a.tif") as one, rasterio.open(tmp_path / "b.tif") as other:
+        assert one.res == (200, 200) and one.crs == other.crs
+        assert CRS(one.crs.to_wkt()).sub_crs_list[0].equals(CRS(32619), ignore_axis_order=True)
+        np.testing.assert_array_equal(one.read(1), other.read(1))
+
+
 def test_voids_stay_voids(tmp_path: Path) -> None:
     heights = np.linspace(0, 900, 70 * 300, dtype=np.float32).reshape(70, 300)
     heights[20:30, 250:] = np.nan

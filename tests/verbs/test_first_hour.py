@@ -6,9 +6,12 @@ import re
 
 import numpy as np
 import pytest
+import rasterio
 from affine import Affine
+from click.testing import CliRunner
 
 import orograph
+from orograph.cli import cli
 from orograph.errors import ReadError, UsageError
 
 
@@ -59,6 +62,14 @@ def test_options_of_other_libraries(dem, option, there):
 def test_suns_and_points_that_are_given_otherwise(dem):
     with pytest.raises(UsageError, match=r"sun=\(315, 45\)"):
         orograph.light(dem, "hillshade", azimuth=315)
+    with pytest.raises(UsageError, match=r"light\(dem, 'slope'\).save\('slope.tif'\)"):
+        orograph.light(dem, "slope", output="slope.tif")
+    with pytest.raises(UsageError, match="stored by errors=, tins=, chunked= and quadtin="):
+        orograph.build(dem, "area.oro", methods="bdam")
+    with pytest.raises(UsageError, match="`resolution` must be one or several numbers"):
+        orograph.terrain(dem, resolution="fine")
+    with pytest.raises(AttributeError, match=r"no attribute 'length'. There are .*pick, .*profile"):
+        _ = orograph.measure.length
     with pytest.raises(UsageError, match=r"Its signature is profile\(terrain, polyline, lonlat\)"):
         orograph.measure.profile(dem, (500_100, 3_999_000), (500_900, 3_999_500))
 
@@ -168,3 +179,52 @@ def test_names_that_modules_do_not_have(module, name, meant):
     with pytest.raises(AttributeError, match=f"Did you mean {meant}"):
         getattr(getattr(orograph, module), name)
     assert not hasattr(getattr(orograph, module), "zzzz")
+
+
+def test_texts_of_several_parts(dem):
+    """What the command line writes as one text may be that text here."""
+    lights = [orograph.light(dem, "hillshade", lights=these).values
+              for these in (["315,45", "225,30,1"], [(315, 45), (225, 30, 1.0)])]  # fmt: skip
+    np.testing.assert_array_equal(*lights)
+    line = [(500_100, 3_999_000), (501_900, 3_999_500)]
+    texts = ["500100,3999000", "501900,3999500"]
+    assert orograph.measure.profile(dem, texts).length == orograph.measure.profile(dem, line).length
+    assert orograph.measure.place(dem, texts[0]) == orograph.measure.place(dem, line[0])
+    assert orograph.terrain(dem, resolution="60").grid.spacing == orograph.terrain(dem, resolution=60).grid.spacing
+
+
+@pytest.mark.parametrize("verb", ["export", "difference", "contours"])
+def test_no_result_replaces_what_it_is_made_from(dem, tmp_path, verb):
+    path = orograph.export(dem, tmp_path / "dem.tif")
+    if verb == "contours":
+        path = tmp_path / "points.gpkg"
+        geopandas = pytest.importorskip("geopandas")
+        x, y = np.random.default_rng(1).uniform((500_000, 3_999_000), (500_900, 3_999_900), (60, 2)).T
+        places = geopandas.points_from_xy(x, y)
+        geopandas.GeoDataFrame({"z": x % 70}, geometry=places, crs=32611).to_file(path, layer="points")
+    before = path.read_bytes()
+    again = path.parent / ".." / path.parent.name / path.name
+    calls = {
+        "export": lambda: orograph.export(path, again, overwrite=True),
+        "difference": lambda: orograph.difference(dem, [path], ["change.tif", again]),
+        "contours": lambda: orograph.contours(path, 10, output=again),
+    }
+    with pytest.raises(UsageError, match="would overwrite what it is made from"):
+        calls[verb]()
+    assert path.read_bytes() == before
+
+
+def test_a_build_warns_of_what_is_doubtful(dem, tmp_path):
+    heights = dem.heights.copy()
+    heights[20:40, 30:60] = -9999
+    path = tmp_path / "dem.tif"
+    profile = {"driver": "GTiff", "width": 80, "height": 60, "count": 1, "dtype": "float32"}
+    with rasterio.open(path, "w", transform=dem.grid.transform, **profile) as file:
+        file.write(heights, 1)
+    with pytest.warns(UserWarning) as told:
+        orograph.build(path, tmp_path / "a.oro")
+    said = [str(one.message) for one in told]
+    for words in ("It has no CRS", "Its lowest stored number is -9999"):
+        assert sum(words in text for text in said) == 1, said
+    ran = CliRunner().invoke(cli, ["build", str(path), "-o", str(tmp_path / "b.oro")], obj={})
+    assert ran.exit_code == 0 and all(ran.stderr.count(one) == 1 for one in ("no CRS", "--nodata -9999"))

@@ -19,6 +19,7 @@ from orograph.cli.options import (
     jobs_option,
     memory_option,
     progress_of,
+    resampling_option,
     source_options,
     vertical_options,
 )
@@ -41,13 +42,7 @@ if TYPE_CHECKING:
 @area_options
 @click.option("--crs", help="Projected CRS of the terrain.  [default: the files' own, or their UTM zone]")
 @click.option("--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: as the files]")
-@click.option(
-    "--resampling",
-    type=click.Choice(["nearest", "bilinear", "cubic"]),
-    default="bilinear",
-    show_default=True,
-    help="How samples are interpolated if they must be resampled to another grid.",
-)
+@resampling_option
 @click.option(
     "--errors",
     type=ErrorKinds(),
@@ -223,8 +218,6 @@ def command(
         raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
-    for warning in getattr(source, "warnings", ()):
-        progress.warn(warning)
     try:
         terrain: StoredTerrain | None = build(
             source,

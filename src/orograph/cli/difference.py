@@ -82,6 +82,7 @@ def command(
     A and B are files, stores, manifests or quoted patterns ("tiles/*.tif"). Where A is higher there is a gain (blue),
     where it is lower a loss (red). It prints mean, median, rms, NMAD (robust standard deviation), quantiles, and the
     volumes of gain and loss by the true area of each cell; with --sigma, of differences beyond the uncertainty.
+    Options of reading are for both; --vertical-unit ft,m says that A is in feet and B in metres.
 
     \b
     Examples:

@@ -10,10 +10,11 @@ from orograph.cli.files import check_outputs
 from orograph.cli.memory import megabytes
 from orograph.cli.options import (
     FILE,
-    area_options,
+    grid_options,
     jobs_option,
     memory_option,
     progress_of,
+    resampling_option,
     source_of,
     source_options,
     vertical_options,
@@ -37,7 +38,8 @@ DATA = (
 )
 @scene_option("data", help=DATA)
 @uncertainty_option
-@area_options
+@grid_options("write")
+@resampling_option
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @source_options
 @vertical_options
@@ -58,7 +60,7 @@ def command(
     Examples:
       orograph export area.oro -o area.tif
       orograph export area.oro -o valley.tif --bbox 7.5,45.9,7.8,46.1
-      orograph export tiles/*.tif -o mosaic.tif
+      orograph export tiles/*.tif -o mosaic.tif --crs EPSG:32632 --resolution 30 --resampling cubic
       orograph export area.oro -o warm.nc --data era5.grib,time=T12,exceeds=15
       orograph export area.oro -o quakes.gpkg --data quakes.geojson,variable=mag
     """

@@ -6,11 +6,11 @@ of an input is still that input.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from orograph.errors import UsageError
+from orograph.output import same_file
 
 TIFF = (".tif", ".tiff")
 
@@ -64,11 +64,3 @@ def check_ending(option: str, path: str, endings: Sequence[str] = TIFF) -> None:
             path=path,
             remedy=f"Use {endings[0]}.",
         )
-
-
-def same_file(a: str, b: str) -> bool:
-    """Whether two paths are the same file, or will be once both exist."""
-    try:
-        return Path(a).samefile(b)
-    except (OSError, ValueError):
-        return os.path.normcase(os.path.realpath(a)) == os.path.normcase(os.path.realpath(b))

@@ -141,7 +141,7 @@ def command(
     check_ending("--output", output)
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
-        from orograph.lighting.context import Context, Options
+        from orograph.lighting.context import Context, Options, weighted
         from orograph.lighting.products import described, product
         from orograph.lighting.raster import write
         from orograph.lighting.raster_resume import identity
@@ -154,7 +154,7 @@ def command(
     wanted = once(options["products"])
     products = [product(name) for name in wanted]
     check_used(ctx, wanted)
-    lights = tuple((*light, 1.0) if len(light) == 2 else light for light in options["lights"])
+    lights = weighted(options["lights"])
     common = {k: options[k] for k in ("azimuths", "radius", "curvature", "refraction", "exaggeration", "rays")}
     more = more_of(options)
     asked = Options(**common, lights=lights, more=more)

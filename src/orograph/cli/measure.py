@@ -155,14 +155,7 @@ def profile(
     with progress_of(ctx).task("Measuring"):
         found = measuring.profile(terrain, line)
         for path in outputs:
-            if Path(path).suffix.lower() == ".csv":
-                found.save_csv(path, every)
-            elif Path(path).suffix.lower() == ".geojson":
-                found.save_geojson(path)
-            else:
-                from orograph.measuring.plot import save_profile
-
-                save_profile(found, path)
+            found.save(path, every)
     tell(ctx, terrain, found.to_dict(), [found], as_json, outputs)
 
 
@@ -231,12 +224,7 @@ def los(
     with progress_of(ctx).task("Looking"):
         found = measuring.line_of_sight(terrain, ends[0], ends[1], eye, target, flat=flat, refraction=refraction)
         for path in outputs:
-            if Path(path).suffix.lower() == ".csv":
-                found.profile.save_csv(path)
-            else:
-                from orograph.measuring.plot import save_sight
-
-                save_sight(found, path)
+            found.save(path)
     tell(ctx, terrain, found.to_dict(), [found], as_json, outputs)
 
 

@@ -28,11 +28,10 @@ from orograph.cli.options import (
 from orograph.cli.scenes import DRAWING, check_scene, given_of, inputs_of, scene_options
 from orograph.cli.sections import Verb
 from orograph.cli.tours import tour_options
-from orograph.errors import UsageError
 from orograph.scene import given
 from orograph.scene.parts import OPTIONS
 from orograph.scene.sizes import dpi_of
-from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, tour_of
+from orograph.verbs.ways import WAY, check_passage, settle_tour, tour_of
 
 OWN = {*DRAWING, *WAY, "size", "fps", "begin", "end"}
 """The options about the film; all other options are about reading."""
@@ -90,7 +89,7 @@ def command(
 
     \b
     Examples:
-      orograph movie N44W072.hgt --orbit -o orbit.mp4
+      orograph movie N44W072.hgt -o orbit.mp4
       orograph movie N44W072.hgt --around -71.303,44.270,3000 -o summit.mp4
       orograph movie dem.tif --still --sun 2026-10-15T06:30-07:00..18:00 -o day.mp4
       orograph movie area.oro --tour tour.json -o tour.mp4 --size 1920x1080 --sky
@@ -104,15 +103,10 @@ def command(
     # (One function, though long: most of it is its options and their help.)
     began = time.perf_counter()
     progress = progress_of(ctx)
-    check_tour(options)
+    settle_tour(options, tour_path is not None)
     options, passage = given.standing(options)
     check_passage(passage, options)
     errors = check_scene(options, progress)
-    if (tour_path is not None) == bool(chosen(options)):
-        raise UsageError(
-            "Give either --tour or a kind of tour (--orbit, --turntable, --still, --plan, --around, --line, --point).",
-            remedy="orograph tour new writes a tour to start from.",
-        )
     check_outputs(
         {"--output": output},
         {**inputs_of(paths, options), "the tour": [tour_path], "the line": [options["line"]]},

@@ -69,6 +69,15 @@ def grid_options(doing: str) -> Callable[[F], F]:
     return lambda function: area_options(crs(resolution(function)))
 
 
+def resampling_option(function: F) -> F:
+    """``--resampling``: how samples come onto another grid."""
+    return click.option(
+        "--resampling",
+        type=click.Choice(["nearest", "bilinear", "cubic"]),
+        help="How samples are interpolated if they must be resampled to another grid.  [default: bilinear]",
+    )(function)
+
+
 def area_options(function: F) -> F:
     """``--bbox`` and ``--clip``: the part of the ground that is read."""
     return with_options(

@@ -14,10 +14,22 @@ from orograph.cli.options import FILE, grid_options, jobs_option, memory_option,
 from orograph.cli.scenes import scene_option
 from orograph.cli.tours import tour_options
 from orograph.errors import UsageError
-from orograph.verbs.ways import WAY, check_tour, chosen, tour_of
+from orograph.verbs.ways import WAY, settle_tour, tour_of
 
 
-@click.group("tour")
+class Tours(click.Group):
+    """The commands about tours, and the error message for an unknown one."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args[0] not in self.commands:
+            ctx.fail(f"{args[0]!r} is neither new nor info: orograph tour new DEM -o TOUR.json, orograph tour info "
+                     "TOUR.json.")  # fmt: skip
+        return super().resolve_command(ctx, args)
+
+
+@click.group("tour", cls=Tours)
 def command() -> None:
     """Make a tour (key frames in a file, for orograph movie), or describe one."""
 
@@ -41,18 +53,13 @@ def new(
 
     \b
     Examples:
-      orograph tour new N44W072.hgt --orbit -o orbit.json
+      orograph tour new N44W072.hgt -o orbit.json
       orograph tour new N44W072.hgt --around -71.303,44.270,3000 -o summit.json
       orograph tour new area.oro --line hike.gpx --height 300 -o hike.json
       orograph tour new dem.tif --point -71.40,44.10 --point -71.30,44.27 --seconds 30 -o flight.json
     """
     progress = progress_of(ctx)
-    check_tour(options)
-    if not chosen(options):
-        raise UsageError(
-            "Which kind of tour?",
-            remedy="Give --orbit, --turntable, --still, --plan, --around LON,LAT, --line FILE, or --point twice.",
-        )
+    settle_tour(options)
     check_outputs({"--output": output}, {"the input": paths, "the line": [options["line"]]})
     source = source_of(options, WAY)
     with progress.task("Loading Orograph"):

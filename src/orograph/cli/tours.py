@@ -11,7 +11,7 @@ def tour_options(function: F) -> F:
     """Give a verb the options that make a tour."""
     return with_options(
         function,
-        click.option("--orbit", is_flag=True, help="Once around the terrain, all of it in view; a loop."),
+        click.option("--orbit", is_flag=True, help="Once around the terrain, all of it in view; a loop (the default)."),
         click.option(
             "--turntable", is_flag=True, help="The same with the light turning too, as if the terrain rotated."
         ),

@@ -12,9 +12,11 @@ SAID = {
     "plan": "--projection plan", "map": "--projection plan", "perspective": "--projection perspective",
     **dict.fromkeys(("graticule", "grid"), "--aids grid"), "points": "--data FILE,variable=NAME",
     **dict.fromkeys(("track", "gpx"), "--line"), "time": "--sun DATE",
-    **dict.fromkeys(("contour", "lines"), "--contours"),
+    **dict.fromkeys(("contour", "lines"), "--contours"), **dict.fromkeys(("extent", "bounds", "area"), "--bbox"),
+    "duration": "--seconds", "azimuth": "--from, --sun AZIMUTH,ALTITUDE", "altitude": "--sun AZIMUTH,ALTITUDE",
+    "zoom": "--bbox, --distance, --fov", "tolerance": "--max-error", "lonlat": "--target",
 }  # fmt: skip
-"""Options that people try, and what says it here."""
+"""Options that people try, and what says it here: one, or several."""
 
 POINTS = frozenset(
     (
@@ -73,9 +75,9 @@ def lead(error: click.NoSuchOption) -> None:
         return
     name = error.option_name.lstrip("-").lower().replace("-", "_")
     meant = wording.flag("uncertainty" if name in ("error", "sigma") else wording.MEANT.get(name, name))
-    meant = SAID.get(name, meant)
-    if meant.split()[0] in there:
-        setattr(error, "possibilities", [meant])  # noqa: B010 (given to a new error it would have to look alike)
+    here = [one for one in SAID.get(name, meant).split(", ") if one.split()[0] in there]
+    if here:
+        setattr(error, "possibilities", here)  # noqa: B010 (given to a new error it would have to look alike)
 
 
 def elsewhere(name: str) -> list[str]:

@@ -234,10 +234,27 @@ def lonlat_bounds(grid: Grid) -> Box | None:
         return None
     if not (np.isfinite(lon).all() and np.isfinite(lat).all()):
         return None
-    west, east = float(lon.min()), float(lon.max())
-    if east - west > 180 and not grid.crs.is_geographic:  # on both sides of the 180th meridian
-        west, east = float(lon[lon > 0].min()), float(lon[lon < 0].max())
-    return west, float(lat.min()), east, float(lat.max())
+    west, east = (lon.min(), lon.max()) if grid.crs.is_geographic else _arc(lon.reshape(x.shape))
+    south, north = np.clip((lat.min(), lat.max()), -90, 90)
+    if (west, east) == (-180, 180) and _turns_around(lon.reshape(x.shape)):
+        south, north = (south, 90) if south + north > 0 else (-90, north)
+    return float(west), float(south), float(east), float(north)
+
+
+def _turns_around(lon: Array) -> bool:
+    """Whether the border of a lattice of longitudes (rows, cols) runs around a pole."""
+    ring = np.concatenate([lon[0, :-1], lon[:-1, -1], lon[-1, :0:-1], lon[:0:-1, 0]])
+    return bool(abs(np.unwrap([*ring, ring[0]], period=360)[-1] - ring[0]) > 180)
+
+
+def _arc(lon: Array) -> tuple[float, float]:
+    """West and east of a lattice of longitudes (rows, cols), from -180 to 180; west > east across 180°."""
+    rows = np.unwrap(lon, period=360, axis=1)
+    rows += (np.unwrap(rows[:, 0], period=360) - rows[:, 0])[:, None]
+    west, east = rows.min(), rows.max()
+    if east - west >= 360 or _turns_around(lon):
+        return -180.0, 180.0
+    return float((west + 180) % 360 - 180), float(180 - (180 - east) % 360)
 
 
 def turns(grid: Grid) -> tuple[float, ...]:

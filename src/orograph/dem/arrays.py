@@ -91,10 +91,8 @@ def from_array(
             f"Heights must be an array of rows and columns; this one has the shape {array.shape}.",
             remedy="A picture is laid over a terrain with layers=." if bands else "Select one layer of it.",
         )
-    factor = 1.0 if vertical_unit is None else metres_per(vertical_unit)
-    if factor is None:
-        raise UsageError(f"{vertical_unit!r} is not a known unit of length (m, ft, us-ft, cm…).")
-    heights = heights_of(array, name or "the array", nodata=_number(nodata), factor=factor)
+    factor = 1.0 if vertical_unit is None else metres_of(vertical_unit)
+    heights = heights_of(array, name or "the array", nodata=number_of(nodata), factor=factor)
     shape = (array.shape[0], array.shape[1])
     place = oriented(shape, affine_of(transform, spacing, crs, shape, told), None if crs is None else parsed_crs(crs))
     heights = heights[:: -1 if place.flip_rows else 1, :: -1 if place.flip_cols else 1]
@@ -102,7 +100,24 @@ def from_array(
     return Dem(np.ascontiguousarray(heights), place.grid, vertical, called)
 
 
-def _number(nodata: float | str | None) -> float | None:
+def metres_of(unit: str) -> float:
+    """Metres in a unit that the user names.
+
+    Raises:
+        UsageError: it is not known.
+    """
+    factor = metres_per(unit)
+    if factor is None:
+        raise UsageError(f"{unit!r} is not a known unit of length (m, ft, us-ft, cm…).")
+    return factor
+
+
+def number_of(nodata: float | str | None) -> float | None:
+    """The number that a nodata value is; None if there is none.
+
+    Raises:
+        UsageError: it is not a number.
+    """
     if nodata is None or (isinstance(nodata, str) and nodata.strip().lower() == "none"):
         return None
     try:

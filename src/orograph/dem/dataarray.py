@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from orograph.dem.arrays import heights_of
+from orograph.dem.arrays import heights_of, metres_of, number_of
 from orograph.dem.conventions import ACROSS, DOWN, ROTATED, even_axis, is_depth, metres_of_axes
+from orograph.dem.header import settled_vertical
 from orograph.dem.raster import Dem
 from orograph.dem.units import metres_per
 from orograph.errors import ReadError, UsageError
@@ -52,7 +53,10 @@ def axes_of(array: xr.DataArray) -> tuple[Any, Any]:
     return (second, first) if turned else (first, second)
 
 
-def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str | None = None) -> Dem:
+def from_xarray(
+    array: xr.DataArray, *, crs: str | CRS | None = None, name: str | None = None, nodata: float | str | None = None,
+    vertical_unit: str | None = None, assume_vertical: str | None = None,
+) -> Dem:  # fmt: skip
     """A Dem of a two-dimensional DataArray (further dimensions of length 1 are dropped).
 
     Args:
@@ -61,10 +65,13 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
         crs: the CRS, if the array has none. Without one, coordinates named longitude and latitude, or in degrees, are
             assumed to be WGS 84, with a warning.
         name: its name. Default: the array's own name, else that of its file.
+        nodata: the stored number that means "missing", or "none"; None: as declared.
+        vertical_unit: the unit of the heights; None: as declared, or metres.
+        assume_vertical: their vertical datum.
 
     Raises:
         ReadError: coordinates that are missing or uneven, values that are not real numbers, or a unit not of length.
-        UsageError: more than two dimensions longer than 1.
+        UsageError: more than two dimensions longer than 1, or an option makes no sense.
     """
     called = name or str(array.name or _file_name(array) or "terrain")
     lead = [d for d in array.dims if array.sizes[d] == 1 and str(d).lower() not in ACROSS | DOWN]
@@ -77,7 +84,7 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     array = array.isel(dict.fromkeys(lead, 0))
     array = array.transpose(*axes_of(array))
     unit = str(array.attrs.get("units", "m")) or "m"
-    factor = metres_per(unit)
+    factor = metres_per(unit) if vertical_unit is None else metres_of(vertical_unit)
     if factor is None:
         raise ReadError(f"The unit of {called} is {unit!r}, which is not a length.", remedy="Set attrs['units'].")
     if is_depth(array.attrs):
@@ -87,14 +94,15 @@ def from_xarray(array: xr.DataArray, *, crs: str | CRS | None = None, name: str 
     unit_of_axes = 1.0 if known is not None else _axes_metres(array, called)
     y_dim, x_dim = array.dims
     (x0, dx), (y0, dy) = (np.array(_axis(array, dim, called)) * unit_of_axes for dim in (x_dim, y_dim))
-    heights = _heights(decoded(array), called, factor)
+    stored = decoded(array)
+    heights = _heights(stored, called, factor, _declared(stored) if nodata is None else number_of(nodata))
     if dy > 0:
         heights, y0, dy = heights[::-1], y0 + dy * (heights.shape[0] - 1), -dy
     if dx < 0:
         heights, x0, dx = heights[:, ::-1], x0 + dx * (heights.shape[1] - 1), -dx
     transform = Affine(dx, 0, x0 - dx / 2, 0, dy, y0 - dy / 2)
     grid = Grid((heights.shape[0], heights.shape[1]), transform, known)
-    return Dem(np.ascontiguousarray(heights), grid, None, called)
+    return Dem(np.ascontiguousarray(heights), grid, settled_vertical(None, assume_vertical, []), called)
 
 
 def _known_crs(array: xr.DataArray, crs: str | CRS | None, called: str) -> CRS | None:
@@ -152,10 +160,14 @@ def _within_range(array: xr.DataArray) -> xr.DataArray:
     return array.where((array >= low) & (array <= high))
 
 
-def _heights(array: xr.DataArray, called: str, factor: float) -> NDArray[np.float32]:
-    """The heights of an array (rows, cols), metres; a lazy one is computed in strips, chunk by chunk of its rows."""
+def _declared(array: xr.DataArray) -> float | None:
+    """The number that an array declares to mean "missing", if any."""
     fill = array.attrs.get("_FillValue")
-    nodata = None if fill is None or not np.isfinite(fill) else float(fill)
+    return None if fill is None or not np.isfinite(fill) else float(fill)
+
+
+def _heights(array: xr.DataArray, called: str, factor: float, nodata: float | None) -> NDArray[np.float32]:
+    """The heights of an array (rows, cols), metres; a lazy one is computed in strips, chunk by chunk of its rows."""
     whole = np.empty(array.shape, np.float32)
     rows = array.chunks[0] if array.chunks else (max(1, STRIP // max(1, array.shape[1])),) * array.shape[0]
     row = 0

@@ -200,7 +200,10 @@ def locate(path: str | os.PathLike[str]) -> str:
         )
     if file.is_dir() and not (file / "hdr.adf").exists() and file.suffix.lower() != ".zarr":
         if (file / "zarr.json").exists():
-            raise ReadError("This is a store: give it alone, or write it to a raster (orograph export).", path=text)
+            raise ReadError(
+                "This is a store: give it alone, open it (`orograph.open`), or export it (`orograph.export`).",
+                path=text,
+            )
         raise ReadError(
             "This is a directory, not an elevation raster.", path=text, remedy="Give the files in it, e.g. DIR/*.tif."
         )

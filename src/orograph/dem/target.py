@@ -23,6 +23,7 @@ from orograph.dem.lattice import Lattice
 from orograph.dem.projection import flat_crs, geodetic_base, horizontal, in_metres
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
+from orograph.several import numbers
 
 MAX_SIDE = 1 << 24  # samples; beyond it sample indices no longer fit float32, which renderers use
 _COUNTED = 2.0**53  # steps from the CRS's origin that float64 can distinguish
@@ -84,8 +85,11 @@ def choose(lattices: Sequence[Lattice], *, crs: CRS | None = None, resolution: f
         ReadError: the area cannot be shown flat, or not in that CRS.
         UsageError: the resolution is not a length, or gives an absurd number of samples.
     """
-    if resolution is not None and not (math.isfinite(resolution) and resolution > 0):
-        raise UsageError(f"The resolution must be a length in metres, not {resolution}.")
+    if resolution is not None:
+        length, *more = numbers(resolution, "resolution")
+        if more or not (math.isfinite(length) and length > 0):
+            raise UsageError(f"`resolution` must be a length in metres, not {resolution}.")
+        resolution = length
     finest = lattices[0].grid
     metric = finest.crs is None or not finest.crs.is_geographic
     if metric and resolution is None and (crs is None or crs == finest.crs):

@@ -6,7 +6,9 @@ latitude, to the nanodegree) as text. A file appears when it is complete.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sqlite3
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -56,7 +58,8 @@ Writer = Callable[[Batch], None]
 
 
 def check_vector_file(path: Path, crs: CRS | None, what: str = "Lines") -> None:
-    """Raise UsageError unless lines (or ``what`` else) can be written to such a file on this machine."""
+    """Raise UsageError unless lines (or ``what`` else) can be written to such a file on this machine; OutputError if
+    layers of other origin would be lost with a GeoPackage that is there."""
     ending = path.suffix.lower()
     if ending not in ENDINGS:
         raise UsageError(
@@ -78,6 +81,23 @@ def check_vector_file(path: Path, crs: CRS | None, what: str = "Lines") -> None:
                 f"A {ending} needs {module}, which is not installed.", path=path,
                 remedy=f"Run pip install 'orograph[{extra}]', or write .geojson.",
             ) from error  # fmt: skip
+    if others := _layers(path) - {path.stem}:
+        layers = f"layer{'s' if len(others) > 1 else ''} {', '.join(sorted(others))}"
+        raise OutputError(
+            f"It holds the {layers}, which would be lost.", path=path, remedy="Write another file, or remove this one."
+        )
+
+
+def _layers(path: Path) -> set[str]:
+    """The layers of a GeoPackage; none if there is no such file."""
+    if path.suffix.lower() != ".gpkg" or not path.is_file():
+        return set()
+    with (
+        contextlib.suppress(sqlite3.Error),
+        contextlib.closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as base,
+    ):
+        return {name for (name,) in base.execute("SELECT table_name FROM gpkg_contents")}
+    return set()
 
 
 @contextmanager

@@ -162,7 +162,7 @@ def make(
         if cell is None:
             raise UsageError(
                 "An array does not define the distance between its samples.",
-                remedy="Give cell=…, in metres; or transform= and crs=, for a Map with its place.",
+                remedy="Give cell=…, in metres; or spacing=, or transform= and crs=, for a Map with its place.",
             )
         from orograph.lighting.arrays import terrain_of
 

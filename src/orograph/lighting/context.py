@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from numbers import Real
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from orograph.errors import UsageError
 from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
+from orograph.several import Numbers, numbers
 from orograph.store.memory import MemoryTerrain
 from orograph.store.terrain import Heights, Terrain
 
@@ -53,6 +54,12 @@ def _number(value: Any, above: float = -math.inf) -> bool:
     return isinstance(value, Real) and math.isfinite(value) and float(value) > above
 
 
+def weighted(lights: Iterable[Numbers]) -> tuple[tuple[float, ...], ...]:
+    """Several lights as (azimuth, altitude, weight); the weight may be left out, and is then 1."""
+    given = [numbers(light, "lights") for light in lights]
+    return tuple((*light, 1.0) if len(light) == 2 else light for light in given)
+
+
 @dataclass(frozen=True, slots=True)
 class Options:
     """Options of products; each uses those that apply to it.
@@ -60,7 +67,7 @@ class Options:
     Attributes:
         azimuths: how many directions horizons are swept in, evenly spread, the first in the north.
         sun: (azimuth, altitude) of the light, degrees.
-        lights: several of them as (azimuth, altitude, weight), for hillshade; () for ``sun`` alone.
+        lights: several of them as (azimuth, altitude[, weight]), for hillshade; () for ``sun`` alone.
         radius: metres beyond which nothing occludes; None: unlimited.
         curvature: whether horizons take the curvature of the Earth (or the CRS's body) and refraction into account.
         refraction: coefficient k of terrestrial refraction: rays bend by k times the body's curvature. None: 0.13 on
@@ -74,7 +81,7 @@ class Options:
 
     azimuths: int = 32
     sun: tuple[float, float] = (315.0, 45.0)
-    lights: tuple[tuple[float, float, float], ...] = ()
+    lights: tuple[tuple[float, ...], ...] = ()
     radius: float | None = None
     curvature: bool = False
     refraction: float | None = None
@@ -96,9 +103,13 @@ class Options:
                 there = f"The options are {', '.join(sorted({*known, *MORE}))}."
                 if name in ("azimuth", "altitude", "az", "alt", "angle_altitude", "elevation"):
                     remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
+                elif name in ("output", "path", "filename", "out"):
+                    remedy = "Save the result: `orograph.light(dem, 'slope').save('slope.tif')`."
                 else:
                     remedy = f"Did you mean {' or '.join(close)}?" if close else there
                 raise UsageError(f"There is no option {name!r}.", remedy=remedy)
+        if "lights" in given:
+            given["lights"] = weighted(given["lights"])
         more = {k: v for k, v in given.items() if k in MORE}
         return cls(**{k: v for k, v in given.items() if k in known}, more=more)
 

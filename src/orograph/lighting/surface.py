@@ -24,7 +24,7 @@ from orograph.lighting.context import Blocks, Context, Options
 from orograph.lighting.products import Product
 
 Values = NDArray[np.float32]
-Light = tuple[float, float, float]
+Light = tuple[float, ...]
 
 
 def normal_of(east: Values, north: Values) -> Values:

@@ -14,7 +14,7 @@ Torge & Müller (2012), *Geodesy*, §4.1.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property, lru_cache
 from typing import Any, NoReturn
 
@@ -22,11 +22,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Geod
 
+from orograph.dem.area import lonlat_bounds
 from orograph.errors import UsageError
 from orograph.geo.ellipsoid import Ellipsoid
 from orograph.geo.local import LocalFrame
 from orograph.geo.operations import same_body
 from orograph.geo.transform import transformer
+from orograph.several import numbers
 from orograph.store.opening import terrain as opened
 
 Array = NDArray[np.float64]
@@ -87,14 +89,19 @@ class Places:
         """Points (n, 2) = easting, northing, checked to be numbers and on the terrain.
 
         Args:
+            given: (n, 2) numbers, or a text for each point: "-71.3,44.2".
             lonlat: they are given as longitude, latitude in degrees.
 
         Raises:
             UsageError: they are not, or there are fewer than ``least``.
         """
         try:
+            if isinstance(given, str):
+                given = [given]
+            if isinstance(given, Sequence) and given and all(isinstance(one, str) for one in given):
+                given = [numbers(one, "point") for one in given]
             found = np.atleast_2d(np.asarray(given, np.float64))
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, UsageError) as error:
             raise UsageError(f"{what} must be easting and northing, two numbers each, not {given!r}.") from error
         if found.ndim != 2 or found.shape[1] != 2 or not np.isfinite(found).all():
             raise UsageError(f"{what} must be easting and northing, two finite numbers each, not {given!r}.")
@@ -136,7 +143,7 @@ class Places:
         raise UsageError(
             f"The point {point[0]:.10g}, {point[1]:.10g} lies {' and '.join(ways)} of {self.terrain.name}, whose "
             f"surface reaches from {x.min():.10g}, {y.min():.10g} to {x.max():.10g}, {y.max():.10g}"
-            f"{self._degrees(x, y)}. The nearest point of it is {self._nearest(at)}.",
+            f"{self._degrees()}. The nearest point of it is {self._nearest(at)}.",
             remedy=self._remedy(point),
         )
 
@@ -182,13 +189,11 @@ class Places:
         lon, lat = degrees[0]
         return f"{written} (longitude {lon:.{digits + 6}f}, latitude {lat:.{digits + 6}f})"
 
-    def _degrees(self, x: Array, y: Array) -> str:
-        if self.degrees is None:
+    def _degrees(self) -> str:
+        found = lonlat_bounds(self.grid)
+        if found is None:
             return ""
-        corners = self.lonlat(np.stack([x, y], axis=-1))
-        if corners is None or not np.isfinite(corners).all():
-            return ""
-        (west, south), (east, north) = corners.min(axis=0), corners.max(axis=0)
+        west, south, east, north = found
         return f" (longitudes {west:.6g} to {east:.6g}, latitudes {south:.6g} to {north:.6g})"
 
     def lonlat(self, points: Array) -> Array | None:

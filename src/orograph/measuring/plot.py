@@ -10,15 +10,17 @@ from __future__ import annotations
 import importlib.util
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import ReadError, UsageError
-from orograph.measuring.profile import Profile
-from orograph.measuring.sight import LEAST, Sight
 from orograph.output import Beside, check_folder
+
+if TYPE_CHECKING:
+    from orograph.measuring.profile import Profile
+    from orograph.measuring.sight import Sight
 
 Array = NDArray[np.float64]
 
@@ -63,7 +65,7 @@ def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
     figure, axes, unit, scale = _axes(profile, np.append(sight.line, profile.surface_heights))
     _ground(axes, profile, scale)
     s = profile.distance / scale
-    hidden = _hidden(sight)
+    hidden = sight.hidden()
     if hidden.any():
         floor = axes.get_ylim()[0]
         axes.fill_between(s, floor, profile.surface_heights, where=hidden, color=_DARK, linewidth=0, zorder=2)
@@ -90,18 +92,6 @@ def save_sight(sight: Sight, path: str | os.PathLike[str]) -> None:
             "round body, refraction" if sight.bend else "plane"]  # fmt: skip
     _finish(figure, axes, profile, unit, scale, f"Line of sight over {profile.places.terrain.name}", notes,
             path)  # fmt: skip
-
-
-def _hidden(sight: Sight) -> NDArray[np.bool_]:
-    """(n,): places of the ground that the eye does not see, judged by the steepest ground before each."""
-    p = sight.profile
-    rise = p.surface_heights - 0.5 * sight.bend * p.distance**2 - (p.surface_heights[0] + sight.eye)
-    slope = np.divide(rise, p.distance, out=np.full(len(rise), -np.inf), where=p.distance > 0)
-    before = np.maximum.accumulate(np.where(np.isnan(slope), -np.inf, slope))
-    away = p.distance > 0
-    out = np.zeros(len(rise), bool)
-    out[away] = (before[away] - slope[away]) * p.distance[away] > LEAST  # false over holes
-    return out
 
 
 def _axes(profile: Profile, values: Array | None = None) -> tuple[Any, Any, str, float]:

@@ -199,14 +199,33 @@ class Profile:
         table = np.column_stack([distance, ground, points, lonlat, own, surface])
         return [dict(zip(COLUMNS, (None if math.isnan(v) else float(v) for v in row))) for row in table]
 
-    def save_geojson(self, path: str | os.PathLike[str]) -> None:
-        """Write the line as GeoJSON, with ``to_dict`` as its properties.
+    def save(self, path: str | os.PathLike[str], every: float | None = None) -> Path:
+        """Write it by the file's ending.
 
-        Coordinates are longitude, latitude and surface height at every crossing (no height over holes).
+        Args:
+            path: .csv: a table of ``rows``, unknown values empty; .geojson: the line, with longitude, latitude and
+                surface height at every crossing (no height over holes) and ``to_dict`` as properties; .png, .svg, .pdf:
+                a plot.
+            every: metres between the rows of a table; None: a row at every crossing.
 
         Raises:
-            UsageError: the terrain has no CRS. OutputError: the file cannot be written.
+            UsageError: another ending, or GeoJSON of a terrain without a CRS. ReadError: a plot needs matplotlib.
+            OutputError: the file cannot be written.
         """
+        ending = Path(path).suffix.lower()
+        if ending == ".csv":
+            self._save_csv(path, every)
+        elif ending == ".geojson":
+            self._save_geojson(path)
+        else:
+            from orograph.measuring.plot import ENDINGS, save_profile
+
+            if ending not in ENDINGS:
+                raise UsageError(f"A profile must be written as .csv, .geojson, {', '.join(ENDINGS)}.", path=path)
+            save_profile(self, path)
+        return Path(path)
+
+    def _save_geojson(self, path: str | os.PathLike[str]) -> None:
         if self.lonlat is None:
             raise UsageError("GeoJSON needs longitudes and latitudes, but the terrain has no CRS.", path=path)
         places = [
@@ -218,12 +237,7 @@ class Profile:
         with Beside(Path(path)) as part:
             part.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False))
 
-    def save_csv(self, path: str | os.PathLike[str], every: float | None = None) -> None:
-        """Write ``rows`` as CSV with a header line; missing values are empty.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+    def _save_csv(self, path: str | os.PathLike[str], every: float | None) -> None:
         places = (3, 3, 4, 4, 8, 8, 3, 3)
         with Beside(Path(path)) as part, part.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)

@@ -12,7 +12,9 @@ Units: metres; heights above the ground at both ends.
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -75,6 +77,32 @@ class Sight:
     eye: float
     target: float
     bend: float
+
+    def hidden(self) -> NDArray[np.bool_]:
+        """(n,): places of the ground that the eye does not see, judged by the steepest ground before each."""
+        p = self.profile
+        rise = p.surface_heights - 0.5 * self.bend * p.distance**2 - (p.surface_heights[0] + self.eye)
+        slope = np.divide(rise, p.distance, out=np.full(len(rise), -np.inf), where=p.distance > 0)
+        before = np.maximum.accumulate(np.where(np.isnan(slope), -np.inf, slope))
+        away = p.distance > 0
+        out = np.zeros(len(rise), bool)
+        out[away] = (before[away] - slope[away]) * p.distance[away] > LEAST  # false over holes
+        return out
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write it by the file's ending: a plot (.png, .svg, .pdf), or the ground under it as a table (.csv).
+
+        Raises:
+            UsageError: another ending. ReadError: a plot needs matplotlib. OutputError: the file cannot be written.
+        """
+        if Path(path).suffix.lower() == ".csv":
+            return self.profile.save(path)
+        from orograph.measuring.plot import ENDINGS, save_sight
+
+        if Path(path).suffix.lower() not in ENDINGS:
+            raise UsageError(f"A line of sight must be written as .csv, {', '.join(ENDINGS)}.", path=path)
+        save_sight(self, path)
+        return Path(path)
 
     def to_dict(self) -> dict[str, Any]:
         """A summary for JSON."""

@@ -101,7 +101,8 @@ class Zones(Sequence[Zone]):
         return len(self._found)
 
     def __repr__(self) -> str:
-        return f"<Zones: {len(self)} polygons, {sum(one.area is not None for one in self)} of them measured>"
+        polygons = "1 polygon" if len(self) == 1 else f"{len(self)} polygons"
+        return f"<Zones: {polygons}, {sum(one.area is not None for one in self)} measured>"
 
     def rows(self) -> list[dict[str, Any]]:
         """A record for each polygon: its name, the file's properties (unless named alike), and the measures."""

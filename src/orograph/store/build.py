@@ -21,7 +21,7 @@ from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
 from orograph.folders import Amount, bytes_of
-from orograph.parallel import map_ordered, threads_for
+from orograph.parallel import map_ordered
 from orograph.progress import SILENT, Progress
 from orograph.reporting import reporting
 from orograph.several import words
@@ -29,6 +29,7 @@ from orograph.store.addresses import storage_at
 from orograph.store.bucket import BucketStorage
 from orograph.store.chunked import Kind, checked_kind
 from orograph.store.coding import CODECS, Coding, coding_of
+from orograph.store.doubts import warn_of_files, warn_of_heights
 from orograph.store.executing import Executor
 from orograph.store.given import source_of, stores_in
 from orograph.store.inputs import inputs_of
@@ -43,20 +44,17 @@ from orograph.store.quadtin_kind import checked_quadtin
 from orograph.store.source import ArraySource, HeightSource
 from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
-from orograph.store.terrain import Samples, Shape, level_count, level_shape
+from orograph.store.terrain import Samples
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
 from orograph.store.versions import check_keep, prune, settle
 from orograph.store.versions import publish as publish_version
-from orograph.store.ways import AtOnce, check_ways, executor_of
+from orograph.store.ways import BASE, READER, AtOnce, check_ways, executor_of, memory_of, sizes
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
     from orograph.dem.lattice import SourceLattice
 
 MEMORY = 1 << 30
-SHARDS = (2048, 1024, 512)
-BASE = 280 << 20  # the interpreter, its libraries and their caches
-READER = 160 << 20  # memory of a mosaic while it reads one window
 
 Path_ = str | os.PathLike[str]
 
@@ -172,6 +170,7 @@ def build(
     # (One long function: two thirds of it are its options and their descriptions.)
     from orograph.store import handing
     from orograph.store.adding import Needs, add, is_itself
+    from orograph.store.build_state import check_shareable
     from orograph.store.in_parts import Gathering, build_part, part_of, parts_begun
 
     progress, max_memory = reporting(progress), bytes_of(max_memory)
@@ -194,6 +193,7 @@ def build(
     left = handing.left_by_parts(storage, source, options, progress) if part is not None or finish else None
     raster = left or source_of(source, progress, called="build", **options)
     check_metric(raster.grid, raster.name)
+    warn_of_files(raster, progress)
     if (check_void := getattr(raster, "check_void", None)) is not None:
         check_void()
     versions = check_keep(keep, update, final)
@@ -216,12 +216,13 @@ def build(
 
         excluded = {"overwrite": overwrite, "resume": resume, "part": part is not None, "finish": finish}
         check_updatable(final, excluded)
-    if workers is not None:
-        jobs = jobs or 1
+    if workers is not None or dask is not None:
+        check_shareable(raster, final)  # before anything is removed
+        jobs = jobs or (1 if dask is None else None)
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
     keep_lattices = keep_source and bool(lattices_of(raster))
     coding = coding_of(raster, codec, max_error)
-    needed = _memory(raster.grid.shape, shard, jobs, len(kinds))
+    needed = memory_of(raster.grid.shape, shard, jobs, len(kinds))
     if needed > max_memory:
         progress.warn(
             f"{max_memory >> 20} MiB is less than a build needs; it runs one task at a time, and may take "
@@ -254,7 +255,7 @@ def build(
                 in_bucket.prune()
             elif update:
                 prune(Path(final.url), versions, progress)
-            return open(url, storage_options=storage_options)
+            return _opened(raster, url, storage_options, max_memory, progress)
         if not continued and not update:
             if not final.remote or begun(storage) or is_store(final):
                 storage.remove(ROOT)  # first, so that a half-removed store does not look complete
@@ -270,7 +271,7 @@ def build(
                 record = _fill(raster, storage, plan, coding, jobs, label, executor, progress, in_bucket is not None)
             if in_bucket is not None:
                 in_bucket.publish(record)
-                return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+                return _opened(raster, url, storage_options, max_memory, progress)
             publish_record(storage, record)
         if isinstance(storage, FolderStorage) and (continued or workers is not None or dask is not None):
             storage.sweep()
@@ -282,7 +283,16 @@ def build(
             publish_version(Path(storage.url), final.path, versions, progress)
         elif isinstance(final, FolderStorage):
             publish(Path(storage.url), final.path)
-        return open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+        return _opened(raster, url, storage_options, max_memory, progress)
+
+
+def _opened(
+    raster: HeightSource, url: Path_, storage_options: dict[str, Any] | None, max_memory: int, progress: Progress
+) -> StoredTerrain:
+    """The store that was built, after warning of doubtful heights."""
+    terrain = open(url, storage_options=storage_options, cache_bytes=min(CACHE_BYTES, max_memory // 4))
+    warn_of_heights(raster, terrain.height_range, progress)
+    return terrain
 
 
 def in_memory(source: HeightSource, progress: Progress = SILENT) -> MemoryTerrain:
@@ -316,34 +326,9 @@ def lattices_of(raster: HeightSource) -> Sequence[SourceLattice]:
     return getattr(raster, "resampled_from", ())
 
 
-def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
-    """Return the side of the shards and the number of concurrent tasks that fit the allowed memory."""
-    wanted = threads_for(jobs)
-    for side in SHARDS if shard is None else (shard,):
-        for at_once in range(wanted, 0, -1):
-            if _memory(shape, side, at_once, kinds) <= max_memory:
-                return side, at_once
-    return shard or SHARDS[-1], 1
-
-
-def _memory(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
-    """Estimate what a build holds at once: its tasks, and the open coarse shards (two at level 1)."""
-    from orograph.store.survey import memory
-
-    unit = 4 * shard * shard
-    coarse = 0
-    for level in range(1, level_count(shape)):
-        rows, cols = level_shape(shape, level)
-        coarse += 2 * (2 if level == 1 else 1) * min(unit, 4 * rows * cols)
-    heights = jobs * (4 * unit + READER) + coarse
-    return BASE + max(heights, READER + memory(shape, shard, jobs, kinds) if kinds else 0)
-
-
 def _fill(
     raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, jobs: int, label: str,
-    executor: Executor,
-    progress: Progress,
-    keyed: bool,
+    executor: Executor, progress: Progress, keyed: bool,
 ) -> Record:  # fmt: skip
     """Do all tasks; return the store's record. Args: keyed: see ``ShardWriter``."""
     from orograph.store.groups import Groups

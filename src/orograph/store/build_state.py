@@ -57,25 +57,27 @@ class BuildRecipe(NamedTuple):
         return BuildState(self)
 
 
+def check_shareable(raster: HeightSource, storage: Storage) -> None:
+    """Raise UsageError if the heights are not in files, or the store would be in this process's memory."""
+    if getattr(raster, "again", None) is None and getattr(raster, "recipe", lambda: None)() is None:
+        raise UsageError(
+            "Workers of a cluster open the files of a terrain themselves, but these heights are not in files.",
+            remedy="Write them to a file (`orograph.export`), or build without a cluster.",
+        )
+    if storage.url.startswith("memory:"):
+        raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Give a folder.")
+
+
 def recipe_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at: str, memory: int, base: int,
 ) -> BuildRecipe:  # fmt: skip
     """The recipe of a build without groups, whose plan is stored at the key ``at``.
 
-    Also stores there what workers take over of the source.
-
-    Raises:
-        UsageError: the heights are not in files, or the store would be in this process's memory.
+    Also stores there what workers take over of the source, which must be in files (``check_shareable``).
     """
     found = again_of(raster)
-    if found is None:
-        raise UsageError(
-            "Workers of a cluster open the files of a terrain themselves, but these heights are not in files.",
-            remedy="Write them to a file (orograph.write), or build without a cluster.",
-        )
-    if storage.url.startswith("memory:"):
-        raise UsageError("Workers of a cluster cannot write to the memory of this process.", remedy="Give a folder.")
+    assert found is not None
     source, made = found
     url, _ = storage.named()
     begun, keyed = storage.get(at) or b"", at == UPDATE

@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from orograph.errors import OrographError, StoreError, UsageError
+from orograph.errors import OrographError, ReadError, StoreError, UsageError
 from orograph.progress import Progress, Task
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
@@ -203,7 +203,8 @@ class _Round:
         self.pending: dict[Any, Spot] = {}
         self.done: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self.begun: Counter[Spot] = Counter()
-        self.given_up: dict[Spot, str] = {}
+        self.given_up: dict[Spot, BaseException | str] = {}
+        self.any_done = False
         self.heard, self.counted, self.threads = time.monotonic(), -math.inf, 1
         self.able: dict[str, bool] = {}
 
@@ -270,30 +271,35 @@ class _Round:
         spot = self.pending.pop(future, None)
         if spot is None:
             return
-        try:
-            error = future.exception(timeout=10) if future.status == "error" else None
-            why = "it was cancelled" if error is None and future.status != "finished" else _said(error)
-            if why is None:
-                done = future.result(timeout=10)
-                if done.seconds:
-                    self.stage.renewed(spot)
-                self._hear(done)
-        except Exception as failure:  # the scheduler is gone with its state, or the worker is
-            error, why = failure, _said(failure)
+        why = self._failure(spot, future)
         future.release()
         if why is None:
             found = self.stage.found(spot, proof=False)
             if found is not None:
                 self.stage.add(spot, found)
                 self.task.advance()
+                self.any_done = True
                 return
             why = "the building process cannot see the worker's result"
-        if self.begun[spot] < TRIES and not isinstance(error, UsageError):
+        if self.begun[spot] < TRIES and not isinstance(why, UsageError):
             self.again.append(spot)
-            self.task.note(f"tried again: {why}")
+            self.task.note(f"tried again: {_said(why)}")
         else:
             self.given_up[spot] = why
         self._listen()
+
+    def _failure(self, spot: Spot, future: Any) -> BaseException | str | None:
+        """Why a task failed; None if it did not."""
+        try:
+            if future.status != "finished":
+                return (future.exception(timeout=10) if future.status == "error" else None) or "it was cancelled"
+            done: Done = future.result(timeout=10)
+            if done.seconds:
+                self.stage.renewed(spot)
+            self._hear(done)
+            return done.failed
+        except Exception as failure:  # the scheduler is gone with its state, or the worker is
+            return failure
 
     def _hear(self, done: Done) -> None:
         """Count the work that a worker reports for a task, and pass on new results."""
@@ -317,24 +323,31 @@ class _Round:
                 remedy=self.stage.again,
             )  # fmt: skip
 
-    def _failed(self) -> StoreError:
-        """Return the error that lists the tasks given up, and why."""
+    def _failed(self) -> OrographError:
+        """Return the error that lists the tasks given up, and why: if all have one cause in the input, that."""
+        again = self.stage.again if self.any_done else ""
+        causes = {str(why): why for why in self.given_up.values()}
+        bad_input = all(isinstance(why, ReadError) for why in causes.values())
+        if bad_input and len(causes) == 1:
+            (cause,) = causes.values()
+            assert isinstance(cause, ReadError)
+            return type(cause)(cause.what, path=cause.path, remedy=f"{cause.remedy} {again}".strip())
         left = len(self.stage.tasks()) - sum(1 for _ in self.begun)
         reasons = [
-            f"{self.stage.key(spot).removesuffix('.part')}: {why}" for spot, why in list(self.given_up.items())[:4]
+            f"{self.stage.key(spot).removesuffix('.part')}: {_said(why).rstrip('.')}"
+            for spot, why in list(self.given_up.items())[:4]
         ]
-        more = len(self.given_up) - len(reasons)
+        count, more = len(self.given_up), len(self.given_up) - len(reasons)
         others = f" and {more} more" if more > 0 else ""
         never = f" {left} tasks were not begun." if left else ""
-        return StoreError(
-            f"{len(self.given_up)} tasks of {self.stage.label!r} were given up after {TRIES} tries each: "
+        tasks, each = ("1 task", "was given up after") if count == 1 else (f"{count} tasks", "were each given up after")
+        return (ReadError if bad_input else StoreError)(
+            f"{tasks} of {self.stage.label!r} {each} {TRIES} tries: "
             f"{'; '.join(reasons)}{others}.{never}", path=self.stage.place,
-            remedy=f"Fix the cause. {self.stage.again}",
+            remedy=f"Fix the cause. {again}".strip(),
         )  # fmt: skip
 
 
-def _said(error: BaseException | None) -> str | None:
-    if error is None:
-        return None
-    text = str(error) if isinstance(error, OrographError) else f"{type(error).__name__}: {error}"
+def _said(why: BaseException | str) -> str:
+    text = str(why) if isinstance(why, OrographError | str) else f"{type(why).__name__}: {why}"
     return " ".join(text.split())[:300]

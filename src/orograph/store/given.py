@@ -16,6 +16,7 @@ import numpy as np
 
 from orograph._named import remedy
 from orograph.errors import UsageError
+from orograph.output import same_file
 from orograph.progress import SILENT, Progress
 from orograph.store.detect import is_store
 from orograph.store.memory import MemoryTerrain, is_metric
@@ -36,7 +37,9 @@ OF_FILES = ("band", "nodata", "spacing", "assume_crs", "encoding", "vertical_uni
 """How to read a file; ``OF_ARRAYS`` also apply to heights in memory."""
 OF_POINTS = ("max_edge", "height_column", "point_layer", "point_classes")
 """How points are read and become a surface (``dem.gridding``)."""
-OF_ARRAYS = ("transform", "spacing", "nodata", "vertical_unit", "assume_vertical", "name")
+OF_LABELLED = ("nodata", "vertical_unit", "assume_vertical", "name")
+"""How to read a DataArray, which has its own place."""
+OF_ARRAYS = ("transform", "spacing", *OF_LABELLED)
 OF_AREAS = ("bbox", "clip")
 """Which part of the ground to read (``dem.area``)."""
 OF_GRIDS = ("crs", "resolution", "resampling", "to_vertical", "geoid", *OF_AREAS)
@@ -47,6 +50,12 @@ OF_MANY = ("skip_damaged",)
 
 READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF_MANY)))
 """All options of reading heights."""
+
+
+NEEDS = (
+    "What methods need is stored by errors=, tins=, chunked= and quadtin= (`help(orograph.build)`); what a store lacks "
+    "is made when a method needs it."
+)
 
 
 def is_dataset(thing: Any) -> bool:
@@ -72,6 +81,12 @@ def files_of(given: Any) -> list[str] | None:
         if len(found) == len(given) and None not in found:
             return [path for one in found for path in one or ()]
     return None
+
+
+def check_apart(output: str | os.PathLike[str], *given: Any) -> None:
+    """Raise UsageError if a result would replace a file that it is made from."""
+    if any(same_file(output, path) for one in given for path in files_of(one) or ()):
+        raise UsageError("The result would overwrite what it is made from.", path=output, remedy="Choose another file.")
 
 
 def matching(path: str) -> list[str]:
@@ -234,7 +249,8 @@ def check_names(options: Any, called: str) -> None:
             own = getattr(sys.modules["orograph"], called, None)  # (only to report an error)
             known = inspect.signature(own).parameters if callable(own) else ()
             names = [one for one in known if one not in ("options", "reading")]
-            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
+            way = NEEDS if called == "build" and name in ("method", "methods", "for_") else ""
+            raise UsageError(f"{called} has no option {name!r}.", remedy=way or remedy(name, [*names, *READING]))
 
 
 def _raster(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:
@@ -269,11 +285,12 @@ def _dem(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> t
     if xarray is not None and isinstance(one, xarray.DataArray | xarray.Dataset):
         from orograph.dem import dataarray
 
-        _fitting(reading, (*OF_GRIDS, "assume_crs", "name"), "a DataArray, which has its own")
+        how = _fitting(reading, (*OF_GRIDS, *OF_LABELLED, "assume_crs"), "a DataArray")
         array = the_heights(one)
         if dataarray.says_crs(array):
             crs, own = None, False
-        return dataarray.from_xarray(array, crs=crs, name=reading.get("name")), own
+        how = {name: value for name, value in how.items() if name in OF_LABELLED}
+        return dataarray.from_xarray(array, crs=crs, **how), own
     if not _is_heights(one):
         raise refused(one, called)
     how = _fitting(reading, (*OF_GRIDS, *OF_ARRAYS, "assume_crs"), "an array")

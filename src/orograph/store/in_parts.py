@@ -23,7 +23,7 @@ from orograph.store.executing import Executor, Stage
 from orograph.store.groups import Groups, group_levels
 from orograph.store.layout import dumps
 from orograph.store.lock import alone
-from orograph.store.places import PLAN, ROOT, begun, is_store, missing, occupied
+from orograph.store.places import PLAN, ROOT, begun, is_store, missing, occupied, remove_unbegun
 from orograph.store.pyramid import Finest, Pyramid
 from orograph.store.shards import go_through
 from orograph.store.source import HeightSource
@@ -81,29 +81,43 @@ def build_part(
         StoreError: a store, or another build, is there; or the sources have changed meanwhile.
         ReadError: a source cannot be read.
     """
-    index, count = part
+    count = part[1]
     plan = {**plan, "parts": count}
     data = dumps(plan)
-    with alone(final, "building this store in parts", shared=hashlib.blake2b(data, digest_size=16).hexdigest()):
+    with alone(final, "building this store in parts", shared=hashlib.blake2b(data, digest_size=16).hexdigest()) as last:
         _begin(final, storage, data, count, overwrite)
         if isinstance(storage, FolderStorage):
             storage = FolderStorage(storage.path, many=True)
-        leave(storage)
-        finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"], coding)
-        levels = levels_of(raster.grid.shape, plan["shard"], count)
-        stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(finest)
-
-        def do(spot: Spot) -> None:
-            if stage.found(spot) is None:
-                stage.make(spot)
-
-        go_through(f"Building part {index} of {count}", share(stage.tasks(), part), do, jobs, progress)
+        try:
+            leave(storage)
+            _make(raster, storage, plan, coding, part, jobs, progress)
+        except Exception:
+            if last():
+                remove_unbegun(storage)
+            raise
         if raster.fingerprint() != plan["source"]:
             raise StoreError(
                 "Its sources changed while a part of it was built.", path=final.url,
                 remedy=f"Remove {storage.url} and build all parts again when they are complete.",
             )  # fmt: skip
         storage.close()
+
+
+def _make(
+    raster: HeightSource, storage: Storage, plan: dict[str, Any], coding: Coding | None, part: Part, jobs: int,
+    progress: Progress,
+) -> None:  # fmt: skip
+    """Do the tasks of a part."""
+    index, count = part
+    finest = Finest(raster, ShardWriter(storage), plan["shard"], plan["chunk"], coding)
+    levels = levels_of(raster.grid.shape, plan["shard"], count)
+    stage: Stage[Any] = Groups(finest, levels) if levels else Pyramid(finest)
+
+    def do(spot: Spot) -> None:
+        if stage.found(spot) is None:
+            stage.make(spot)
+
+    go_through(f"Building part {index} of {count}", share(stage.tasks(), part), do, jobs, progress)
 
 
 def _begin(final: Storage, storage: Storage, plan: bytes, count: int, overwrite: bool) -> None:

@@ -22,7 +22,7 @@ import json
 import os
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -46,7 +46,7 @@ NO_LINKS = frozenset({errno.EPERM, errno.EMLINK}) | UNSUPPORTED
 
 
 @contextmanager
-def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[None]:
+def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[Callable[[], bool]]:
     """Keep all other processes and threads from writing to a store.
 
     Args:
@@ -54,12 +54,15 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
         doing: what other processes are told: "building this store".
         shared: the digest of the plan of the processes that may work at the same time; None: the lock is exclusive.
 
+    Yields:
+        Whether this process is the only one that holds it; if so, no other can take it any more.
+
     Raises:
         StoreError: another process is at work, or no lock can be created there.
     """
     if not isinstance(storage, FolderStorage):
         with _in_bucket(storage, doing, shared):
-            yield
+            yield lambda: shared is None
         return
     real = Path(os.path.realpath(storage.path))
     path = real.with_name(f".{real.name}.lock")
@@ -73,7 +76,7 @@ def alone(storage: Storage, doing: str, shared: str | None = None) -> Iterator[N
         ) from error  # fmt: skip
     try:
         sweep(real)
-        yield
+        yield lock.last
     finally:
         lock.release()
 
@@ -104,14 +107,18 @@ class _Flock:
     def __init__(self, path: Path, fd: int, shared: bool) -> None:
         self.path, self.fd, self.shared = path, fd, shared
 
+    def last(self) -> bool:
+        """Whether no other process holds it: then it is exclusive from now on. Otherwise it may be lost."""
+        import fcntl
+
+        return (not self.shared or _locked(self.fd, fcntl.LOCK_EX)) and _named(self.path, self.fd)
+
     def release(self) -> None:
         import fcntl
 
         try:
             with contextlib.suppress(OSError):
-                if self.shared:  # others may hold it too; only the last one may remove the file
-                    fcntl.flock(self.fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if _named(self.path, self.fd):
+                if self.last():
                     self.path.unlink()
             with contextlib.suppress(OSError):
                 fcntl.flock(self.fd, fcntl.LOCK_UN)  # explicitly, because a forked child may hold a copy of it
@@ -124,6 +131,9 @@ class _Owner:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+
+    def last(self) -> bool:
+        return True
 
     def release(self) -> None:
         remove(self.path)

@@ -12,7 +12,7 @@ import re
 from pathlib import Path
 
 from orograph.errors import StoreError
-from orograph.store.storage import FolderStorage, Storage
+from orograph.store.storage import WRITING, FolderStorage, Storage
 
 ROOT = "zarr.json"
 PLAN = "build.json"
@@ -48,6 +48,17 @@ def is_store(storage: Storage) -> bool:
 def begun(storage: Storage) -> bool:
     """Whether a build has begun in this storage (that of the folder in which a store is built, or of a URL)."""
     return storage.exists(PLAN) or storage.exists(UPDATE if storage.remote else ROOT)
+
+
+def remove_unbegun(storage: Storage) -> None:
+    """Remove the folder in which a store is built if none of its tasks is done."""
+    if not isinstance(storage, FolderStorage):
+        return  # (the listing of a bucket may lack new objects)
+    for path in storage.path.rglob("*"):
+        key = path.relative_to(storage.path).as_posix()
+        if path.is_file() and key != PLAN and not key.startswith(HANDED) and not key.endswith(WRITING):
+            return
+    storage.remove()
 
 
 def sweep(path: Path) -> None:

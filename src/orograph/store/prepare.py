@@ -8,19 +8,17 @@ need it wait. The folder stays within a size limit (``store.kept``).
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
-import importlib.metadata
-import json
 import shutil
 import time
 from collections.abc import Collection
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from orograph.errors import OrographError, StoreBusyError, StoreError, UsageError
 from orograph.folders import cache_folder, cache_limit
 from orograph.progress import SILENT, Progress
 from orograph.store.build import build, in_memory
+from orograph.store.doubts import warn_of_files, warn_of_heights
 from orograph.store.given import OF_AREAS, options_of_rasters, points_of, source_of
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
@@ -30,9 +28,6 @@ if TYPE_CHECKING:
 
     from orograph.dem.mosaic import Mosaic
     from orograph.error import ErrorKind
-
-DOUBTS = "doubts.json"
-"""The file, in a kept store, of what is doubtful about its files' heights."""
 
 PAUSE = 0.3
 """Seconds between checks whether another process has finished the store."""
@@ -93,8 +88,7 @@ def prepare(
     from orograph.dem.mosaic import Mosaic
 
     if (points := points_of(paths, progress, reading)) is not None:
-        for warning in getattr(points, "warnings", ()):
-            progress.warn(warning)
+        warn_of_files(points, progress)
         return in_memory(points, progress)
     mosaic = Mosaic.open(paths, progress=progress, **options_of_rasters(reading))
     return of_mosaic(mosaic, max_memory=max_memory, jobs=jobs, progress=progress, errors=errors)
@@ -119,8 +113,6 @@ def of_mosaic(
     from orograph.store.kept import Use, make_room
     from orograph.store.layout import FORMAT
 
-    for warning in mosaic.warnings:
-        progress.warn(warning)
     rows, cols = mosaic.grid.shape
     if rows * cols <= EXACT_SAMPLES and (max_memory is None or _fits(rows * cols, max_memory)):
         return _checked(mosaic, in_memory(mosaic, progress), progress)
@@ -153,7 +145,8 @@ def of_mosaic(
     make_room(progress)
     size = sum(f.stat().st_size for f in kept.rglob("*") if f.is_file())
     progress.note(f"the store made of it is kept at {kept} ({size / 1e6:.0f} MB); the next picture starts from there")
-    return _checked(mosaic, terrain, progress, kept)
+    terrain.samples = mosaic
+    return terrain
 
 
 def _built(
@@ -177,36 +170,8 @@ def _built(
 
 
 def _checked(mosaic: Mosaic, terrain: Terrain, progress: Progress, kept: Path | None = None) -> Terrain:
-    """The terrain with its files' samples, after warning about doubtful heights (in a kept store: those found before,
-    by this version)."""
+    """The terrain with its files' samples, after warning of what is doubtful in them."""
     terrain.samples = mosaic
-    version = importlib.metadata.version("orograph")
-    doubts: list[str] | None = None
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        doubts = json.loads((kept / DOUBTS).read_text(encoding="utf-8")).get(version) if kept is not None else None
-    if doubts is None:
-        doubts = _doubts(mosaic, *terrain.height_range)
-        if kept is not None:
-            with contextlib.suppress(OSError):
-                (kept / DOUBTS).write_text(json.dumps({version: doubts}), encoding="utf-8")
-    for text in doubts:
-        progress.warn(text)
+    warn_of_files(mosaic, progress)
+    warn_of_heights(mosaic, terrain.height_range, progress, kept)
     return terrain
-
-
-def _doubts(mosaic: Mosaic, low: float, high: float) -> list[str]:
-    """What is doubtful about the heights of a mosaic's files, which lie between ``low`` and ``high``."""
-    from orograph.dem.area import Cut
-    from orograph.dem.inspect import doubtful_heights
-    from orograph.dem.source import Source
-
-    found: dict[str, str] = {}
-    every = -(-len(mosaic.sources) // 64)  # some of many files are read
-    for i, source in enumerate(mosaic.sources):
-        file = source.raster if isinstance(source, Cut) else source
-        if mosaic.undulation is not None or not isinstance(file, Source):
-            continue  # the heights are no longer those of the files
-        windows = max(1, 16 // len(mosaic.sources)) if i % every == 0 else 0
-        for text in doubtful_heights(cast(Source, source), low, high, windows):
-            found.setdefault(text, text if len(mosaic.sources) == 1 else f"{source.name}: {text}")
-    return list(found.values())

@@ -20,7 +20,7 @@ from orograph.progress import SILENT, Progress
 from orograph.store.addresses import storage_at
 from orograph.store.array_spec import ArraySpec
 from orograph.store.arrays import ShardedArray
-from orograph.store.build import MEMORY, sizes
+from orograph.store.build import MEMORY
 from orograph.store.cache import ChunkCache
 from orograph.store.checking import Damage, check, check_shard
 from orograph.store.chunked import Kind
@@ -43,6 +43,7 @@ from orograph.store.storage import Storage
 from orograph.store.stored import StoredTerrain, open
 from orograph.store.terrain import Heights
 from orograph.store.tin_kind import TINS
+from orograph.store.ways import sizes
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:

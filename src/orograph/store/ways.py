@@ -7,11 +7,17 @@ from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 from orograph.errors import UsageError
+from orograph.parallel import threads_for
 from orograph.store.coding import Coding
 from orograph.store.executing import Executor, Threads
-from orograph.store.places import PLAN, UPDATE
+from orograph.store.places import PLAN, UPDATE, remove_unbegun
 from orograph.store.source import HeightSource
 from orograph.store.storage import Storage
+from orograph.store.terrain import Shape, level_count, level_shape
+
+SHARDS = (2048, 1024, 512)
+BASE = 280 << 20  # the interpreter, its libraries and their caches
+READER = 160 << 20  # memory of a mosaic while it reads one window
 
 
 class AtOnce(NamedTuple):
@@ -49,7 +55,7 @@ def executor_of(
     raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
     coding: Coding | None, at_once: AtOnce, going_on: bool, update: bool, workers: int | None, dask: Any,
 ) -> Iterator[Executor]:  # fmt: skip
-    """Enter the executor for the tasks of a build.
+    """Enter the executor for the tasks of a build, which leaves nothing there if it fails before a task is done.
 
     Args:
         storage: where the store is built; its plan is there.
@@ -60,9 +66,24 @@ def executor_of(
     Raises:
         UsageError: there is no such cluster, or this terrain cannot be built on one.
     """
-    if workers is None and dask is None:
-        yield Threads(at_once.jobs, going_on)
-        return
+    try:
+        if workers is None and dask is None:
+            yield Threads(at_once.jobs, going_on)
+        else:
+            with _cluster(raster, storage, storage_options, plan, coding, at_once, update, workers, dask) as cluster:
+                yield cluster
+    except Exception:
+        if not update:
+            remove_unbegun(storage)
+        raise
+
+
+@contextmanager
+def _cluster(
+    raster: HeightSource, storage: Storage, storage_options: dict[str, Any] | None, plan: dict[str, Any],
+    coding: Coding | None, at_once: AtOnce, update: bool, workers: int | None, dask: Any,
+) -> Iterator[Executor]:  # fmt: skip
+    """Enter a cluster that builds a store."""
     from orograph.store.build_state import recipe_of
     from orograph.store.clusters import Cluster, levels_of
     from orograph.store.workforce import workforce
@@ -74,3 +95,26 @@ def executor_of(
             recipe = recipe._replace(levels=levels_of(client, raster.grid.shape, plan["shard"]))
         with Cluster(client, recipe, recipe.levels) as cluster:
             yield cluster
+
+
+def sizes(shape: Shape, max_memory: int, jobs: int | None, shard: int | None, kinds: int) -> tuple[int, int]:
+    """Return the side of the shards and the number of concurrent tasks that fit the allowed memory."""
+    wanted = threads_for(jobs)
+    for side in SHARDS if shard is None else (shard,):
+        for at_once in range(wanted, 0, -1):
+            if memory_of(shape, side, at_once, kinds) <= max_memory:
+                return side, at_once
+    return shard or SHARDS[-1], 1
+
+
+def memory_of(shape: Shape, shard: int, jobs: int, kinds: int) -> int:
+    """Estimate what a build holds at once: its tasks, and the open coarse shards (two at level 1)."""
+    from orograph.store.survey import memory
+
+    unit = 4 * shard * shard
+    coarse = 0
+    for level in range(1, level_count(shape)):
+        rows, cols = level_shape(shape, level)
+        coarse += 2 * (2 if level == 1 else 1) * min(unit, 4 * rows * cols)
+    heights = jobs * (4 * unit + READER) + coarse
+    return BASE + max(heights, READER + memory(shape, shard, jobs, kinds) if kinds else 0)

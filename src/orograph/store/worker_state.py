@@ -18,7 +18,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from orograph.errors import StoreError
+from orograph.errors import OrographError, StoreError
 from orograph.folders import cache_folder
 from orograph.processes import host
 from orograph.store.digests import Spot
@@ -55,11 +55,13 @@ class Done(NamedTuple):
 
     Attributes:
         who: its host and process. seconds: the task's; 0 if it was already done. remarks: of the stage.
+        failed: why it could not be done. (Dask would print a raised error with its traceback, in every worker.)
     """
 
     who: str
     seconds: float
     remarks: tuple[str, ...] = ()
+    failed: OrographError | None = None
 
 
 class _Open:
@@ -112,19 +114,20 @@ def do(ident: str, name: str, number: int, spot: Spot) -> Done:
 
     Args:
         ident: of the recipe. name, number: of the stage. spot: of the task.
-
-    Raises:
-        StoreError: the work has been replaced, or it cannot be written. ReadError: a source cannot be read.
     """
     state = _open[ident]
     who = f"{host()}.{os.getpid()}"
-    with state.room, _first_alone(name):
-        stage = state.stage(name, number)
-        if stage.found(spot) is not None:
-            return Done(who, 0.0)
-        began = time.perf_counter()
-        found = stage.make(spot)
-        return Done(who, time.perf_counter() - began, stage.remarks(found))
+    try:
+        with state.room, _first_alone(name):
+            stage = state.stage(name, number)
+            if stage.found(spot) is not None:
+                return Done(who, 0.0)
+            began = time.perf_counter()
+            found = stage.make(spot)
+            return Done(who, time.perf_counter() - began, stage.remarks(found))
+    except OrographError as error:
+        error.__cause__ = error.__context__ = None  # which may not be picklable
+        return Done(who, 0.0, failed=error.with_traceback(None))
 
 
 def guarded(storage: Storage, at: str, plan: bytes) -> Storage:

@@ -23,6 +23,7 @@ from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.scene.contours import Contours, round_number
 from orograph.several import Numbers, numbers
+from orograph.store.given import check_apart
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 
@@ -214,6 +215,7 @@ def traced(
     heard = reporting(progress)
     if output is not None:
         check_folder(Path(output))
+        check_apart(output, terrain)
         check_vector_file(Path(output), CRS.from_epsg(4326))
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="contours", **reading)
     chosen, marked, interval = levels_of(ground, interval, levels, base, index)

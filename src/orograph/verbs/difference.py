@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
@@ -31,11 +31,12 @@ from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import Numbers, numbers
-from orograph.store.given import OF_AREAS, check_names, files_of, source_of, source_of_terrain
+from orograph.store.given import OF_AREAS, check_apart, check_names, files_of, source_of, source_of_terrain
 from orograph.store.memory import MemoryTerrain
 from orograph.store.source import HeightSource
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Terrain
+from orograph.verbs.units import of_each, warn_of_units
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -45,10 +46,6 @@ if TYPE_CHECKING:
 QUANTILES = (0.05, 0.25, 0.75, 0.95)
 SIDE, LEGEND = 1000, 280
 """Pixels along the longer side of the ground in a picture, and of the furniture beside it."""
-UNITS = {3.28084: "feet", 100.0: "centimetres", 1000.0: "millimetres"}
-"""By which factor heights in other units exceed those in metres."""
-CLOSE = 0.02
-"""Tolerance of such a factor."""
 COLORS = "RdBu"
 TIFF = (".tif", ".tiff")
 
@@ -255,7 +252,8 @@ def difference(
         max_memory: bytes that heights may take. jobs: threads. Neither changes the difference.
         progress: gets progress reports and warnings; False: silent.
         reading: options of ``orograph.terrain``, of both: ``bbox``, ``clip``, ``crs``, ``nodata``… Stores and terrains
-            take only an area. If the two need different options, read them first with ``orograph.read``.
+            take only an area. ``vertical_unit`` may name two units: of a and of b, "ft,m". If the two need other
+            options that differ, read them first with ``orograph.read``.
 
     Returns:
         a ``Difference``: ``values``, ``grid``, ``statistics`` (mean, median, rms, NMAD, quantiles, volumes);
@@ -271,6 +269,7 @@ def difference(
     for out in outputs:
         check_output(out)
         check_folder(out)
+        check_apart(out, a, b)
     wanted = numbers(quantiles, "quantiles")
     if not all(0 <= q <= 1 for q in wanted):
         raise UsageError(f"`quantiles` must be numbers from 0 to 1, not {quantiles!r}.")
@@ -284,7 +283,8 @@ def difference(
     said = {**reading, "to_vertical": to_vertical, "geoid": geoid}
     if resampling != "bilinear":
         said["resampling"] = resampling
-    first, second = (_read(one, said, heard, _is_built(other)) for one, other in ((a, b), (b, a)))
+    for_a, for_b = of_each(said)
+    first, second = _read(a, for_a, heard, _is_built(b)), _read(b, for_b, heard, _is_built(a))
     _check_datums(first, second, any_vertical, heard)
     finer = float(f"{ground_spacing(second.grid):.4g}") < float(f"{ground_spacing(first.grid):.4g}")
     keeps, other = (second, first) if onto == "second" or (onto == "finer" and finer) else (first, second)
@@ -293,7 +293,7 @@ def difference(
     one, two = (Aligned(each, keeps.grid, window, resampling) for each in (first, second))
     doubt = None if sigma is None else Doubt(one.grid, sigma, range, confidence)
     values, told = differ(one, two, wanted, max_memory=memory, jobs=jobs, progress=heard, doubt=doubt)
-    _warn_of_units(told.ratio, first.name, second.name, heard)
+    warn_of_units(told.ratio, first.name, second.name, heard)
     named = dict.fromkeys((*one.attribution, *two.attribution))
     terrain = _terrain_of(a) if whole and keeps is first else None
     made = Difference(values, one.grid, told, first.name, second.name, tuple(named), one, terrain, doubt)
@@ -324,7 +324,7 @@ def _is_built(given: Any) -> bool:
     return isinstance(given, Terrain) or (files is not None and len(files) == 1 and is_store(files[0]))
 
 
-def _read(given: Any, said: dict[str, Any], progress: Progress, other_is_built: bool) -> HeightSource:
+def _read(given: Any, said: Mapping[str, Any], progress: Progress, other_is_built: bool) -> HeightSource:
     """The reader of one of the two, window by window; no store is built for it."""
     from orograph.store.stored import open as open_store
 
@@ -333,7 +333,7 @@ def _read(given: Any, said: dict[str, Any], progress: Progress, other_is_built: 
             given = open_store(str((files_of(given) or [])[0]))
         assert isinstance(given, MemoryTerrain | StoredTerrain)
         # (Options about files apply to the other one if that is a file.)
-        own = said if other_is_built else {name: said[name] for name in OF_AREAS if name in said}
+        own = dict(said) if other_is_built else {name: said[name] for name in OF_AREAS if name in said}
         if said.get("to_vertical") is not None and not _is_so(given.vertical, said["to_vertical"]):
             raise UsageError(
                 f"The heights of {given.name} cannot be converted, since it is already a terrain.",
@@ -376,16 +376,6 @@ def _check_datums(first: HeightSource, second: HeightSource, any_vertical: bool,
         remedy=f"Convert them with `to_vertical={DIRECTIONS[0]!r}` and a `geoid`, or take them as they are with "
         "`any_vertical`.",
     )
-
-
-def _warn_of_units(ratio: float, first: str, second: str, progress: Progress) -> None:
-    for factor, unit in UNITS.items():
-        for found, name in ((ratio, first), (1 / ratio if ratio else 0.0, second)):
-            if abs(found - factor) < CLOSE * factor:
-                progress.warn(
-                    f"The heights of {name} are {found:.3g} times those of the other: they may be in {unit} (say so "
-                    "with `vertical_unit`)."
-                )
 
 
 def _terrain_of(given: Any) -> Terrain | None:

@@ -23,6 +23,7 @@ from orograph.lighting.raster import Band, Values, rectangles, write
 from orograph.output import check_vacant
 from orograph.progress import Progress
 from orograph.reporting import reporting
+from orograph.store.given import check_apart
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 
@@ -66,6 +67,7 @@ def export(
     max_memory = bytes_of(max_memory)
     datasets = datasets_of(data)
     path = check_output(output, overwrite, datasets)
+    check_apart(path, terrain)
     heard = reporting(progress)
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="export", **reading)
     row0, row1, col0, col1 = (0, ground.grid.rows, 0, ground.grid.cols) if bbox is None else area_of(ground, bbox)

@@ -28,7 +28,7 @@ from orograph.touring.encode import Pictures, Video, check_movie, is_numbered
 from orograph.touring.film import Film, spoken
 from orograph.touring.make import still
 from orograph.verbs.filming import MEMORY, By, Shot, shoot_by
-from orograph.verbs.ways import WAY, check_passage, check_tour, chosen, parsed_path, tour_of
+from orograph.verbs.ways import WAY, check_passage, parsed_path, settle_tour, tour_of
 from orograph.viewpoint import View
 
 
@@ -89,11 +89,7 @@ def movie(
     check_options(options)
     if conservative:
         check_promise(options.get("method", "auto"), backend)
-    if tour is not None and any(way.values()):
-        raise UsageError("Give a tour or describe one (orbit, turntable, still, plan, around, line, points), not both.")
-    if tour is None and not chosen(way):
-        way["orbit"] = True
-    check_tour(way)
+    settle_tour(way, tour is not None)
     check_passage(passage, way)
     by = By.of(workers, dask, part, finish)
     if sort_last and backend != "cpu":

@@ -11,7 +11,7 @@ from orograph.scene.bearings import Bearing
 from orograph.scene.sizes import Size, size_of
 from orograph.several import Numbers
 from orograph.store.opening import terrain as opened
-from orograph.verbs.ways import check_tour, chosen, parsed_path, tour_of
+from orograph.verbs.ways import parsed_path, settle_tour, tour_of
 
 if TYPE_CHECKING:
     from orograph.touring.tour import Tour
@@ -76,8 +76,6 @@ def tour(
         "height": height, "speed": speed,
         "line_crs": line_crs,
     })  # fmt: skip
-    if not chosen(options):
-        options["orbit"] = True
-    check_tour(options)
+    settle_tour(options)
     ground = opened(terrain, progress, max_memory=max_memory, jobs=jobs, called="tour", **reading)
     return tour_of(ground, size, options, (315.0, 45.0), exaggeration)

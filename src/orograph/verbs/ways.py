@@ -4,7 +4,7 @@ line."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from typing import TYPE_CHECKING, Any
 
 from orograph.errors import UsageError
@@ -47,8 +47,19 @@ def parsed_path(options: Mapping[str, Any]) -> dict[str, Any]:
     return way
 
 
-def check_tour(options: Mapping[str, Any]) -> None:
-    """Raise UsageError if the options of a tour contradict each other."""
+def settle_tour(options: MutableMapping[str, Any], from_file: bool = False) -> None:
+    """Make a tour an orbit if its options ask for no kind of tour.
+
+    Args:
+        from_file: whether there is a tour already, which options must not describe.
+
+    Raises:
+        UsageError: options contradict each other.
+    """
+    if from_file and chosen(options):
+        raise UsageError("Give a tour or describe one (orbit, turntable, still, plan, around, line, points), not both.")
+    if not from_file and not chosen(options):
+        options["orbit"] = True
     kinds = [f"`{kind}`" for kind in chosen(options)]
     if len(kinds) > 1:
         raise UsageError(f"{kinds[0]} and {kinds[1]} are two tours: choose one.")
@@ -58,7 +69,7 @@ def check_tour(options: Mapping[str, Any]) -> None:
             "points": ROUND}  # fmt: skip
     for name in only.get(kind, WAY[len(KINDS) :]):
         if options[name] is not None:
-            raise UsageError(f"`{name}` does not apply to {kinds[0] if kinds else 'a tour from a file'}.")
+            raise UsageError(f"`{name}` does not apply to {kinds[0] if kinds else 'a tour that is given'}.")
     if options["speed"] is not None and options["seconds"] is not None:
         raise UsageError("`seconds` and `speed` say the same twice: give one of them.")
     if options["speed"] is not None and not options["speed"] > 0:
@@ -82,7 +93,7 @@ def tour_of(
     terrain: Terrain, size: tuple[int, int], options: Mapping[str, Any], sun: tuple[float, float], exaggeration: float,
     furniture: bool = False, also: Any = None,
 ) -> Tour:  # fmt: skip
-    """The tour that the options describe (see ``check_tour``); an orbit, if they describe none. A camera that stays
+    """The tour that the options describe (see ``settle_tour``). A camera that stays
     leaves room for ``furniture``; one that shows the whole terrain keeps further positions, ``also``, in view."""
     from orograph.touring import make
 
@@ -90,7 +101,7 @@ def tour_of(
              (("azimuth", "azimuth"), ("pitch", "pitch"), ("distance", "distance"), ("seconds", "seconds"),
               ("fov", "fov_y"), ("around", "around"),
               ("height", "height"), ("speed", "speed")) if options[old] is not None}  # fmt: skip
-    kind = (chosen(options) or ["orbit"])[0]
+    kind = chosen(options)[0]
     if kind in ("turntable", "still", "orbit"):
         given["also"] = also
     if kind == "turntable":

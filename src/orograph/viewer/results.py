@@ -66,7 +66,7 @@ def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, ste
     """
     if kind in ("profile", "los"):
         path = stem.with_name(stem.name + ".csv")
-        (result.profile if kind == "los" else result).save_csv(path)
+        result.save(path)
         return path
     if kind == "viewshed":
         path = stem.with_name(stem.name + ".tif")
