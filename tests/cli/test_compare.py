@@ -186,6 +186,16 @@ def test_the_sheet_has_room_for_all(hilly):
     assert one.shape[1] == 1600 and one.dtype == np.uint8  # and a sixth, of the terrain itself
 
 
+def test_the_sheet_shows_the_image_whose_colors_count(hilly):
+    terrain = prepare([str(hilly)])
+    panels = [Panel("a", None, ("b",))]
+    view = panel_view(usual_views(terrain)["overview"], 1)
+    plain = sheet(terrain, view, panels, title="", note="").astype(int)
+    red = sheet(terrain, view, panels, title="", note="", drape=np.full((4, 4, 3), (255, 0, 0), np.uint8)).astype(int)
+    changed = (plain != red).any(axis=2)
+    assert changed.mean() > 0.1 and (red[changed][:, 0] > red[changed][:, 1:].max(axis=1) + 20).mean() > 0.95
+
+
 def test_usual_views_see_the_ground(hilly):
     terrain = prepare([str(hilly)])
     for exaggeration in (1.0, 4.0):

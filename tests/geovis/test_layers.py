@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,13 @@ import rasterio
 from affine import Affine
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 from pyproj import CRS
 
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.geovis.drape import Drape
-from orograph.geovis.layers import FIELDS, MOST, Layer, composite, found_beside, layers_of, nothing_over
+from orograph.geovis.layers import FIELDS, MOST, Layer, basemap, composite, found_beside, layers_of, nothing_over
 
 GRID = Grid((100, 100), Affine(10, 0, 500_000, 0, -10, 4_000_000), CRS.from_epsg(32611))
 
@@ -162,3 +165,23 @@ def test_bands_by_name(tmp_path: Path) -> None:
     with pytest.raises(ReadError, match="no band steep") as error:
         at_samples(Layer(path, colormap="viridis", band="steep"))
     assert "hillshade, slope" in error.value.remedy
+
+
+def test_the_card_of_a_layer(tmp_path):
+    path = tmp_path / "rain.tif"
+    with rasterio.open(path, "w", driver="GTiff", height=300, width=500, count=1, dtype="float32", crs="EPSG:32611",
+                       transform=Affine(30, 0, 5e5, 0, -30, 4e6)) as file:  # fmt: skip
+        file.write(np.tile(np.linspace(0, 80, 500, dtype=np.float32), (300, 1)), 1)
+    said = Layer(str(path), colormap="viridis", range=(0, 80), opacity=0.5)._repr_html_()
+    for text in ("rain.tif", "300 × 500", "30 m", "UTM zone 11N", "viridis", "0.5"):
+        assert text in said
+    png = base64.b64decode(said.partition("base64,")[2].partition('"')[0])
+    with Image.open(io.BytesIO(png)) as small:
+        assert small.size == (125, 75)
+        left, right = small.getpixel((1, 40)), small.getpixel((123, 40))
+    assert left[2] > left[0] and right[0] > 200 and right[2] < 80  # violet, yellow
+    assert "no such file" in Layer("nothing.tif")._repr_html_()
+    array = Layer(np.zeros((9, 8, 3), np.uint8))._repr_html_()
+    assert "(in memory)" in array and "spacing" not in array
+    service = basemap("OpenTopoMap")._repr_html_()
+    assert "OpenTopoMap" in service and "<img" not in service  # a server would be asked for it

@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ from orograph._numba import kernel
 from orograph.dem.handles import HANDLES
 from orograph.errors import ReadError
 from orograph.geovis.image_errors import unreadable
-from orograph.geovis.layers import Layer
 from orograph.geovis.mipmap import curves
+
+if TYPE_CHECKING:
+    from orograph.geovis.layers import Layer
 
 Bytes = NDArray[np.uint8]
 Colors = NDArray[np.float32]

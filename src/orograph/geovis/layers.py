@@ -128,6 +128,11 @@ class Layer:
                 if f.repr and getattr(self, f.name) != f.default)  # fmt: skip
         return f"Layer({', '.join([repr(self.path), *said])})"
 
+    def _repr_html_(self) -> str:
+        from orograph.geovis.layer_cards import card_of
+
+        return card_of(self)
+
     @property
     def label(self) -> str:
         """What to call it."""

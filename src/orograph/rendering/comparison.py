@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,6 +104,7 @@ def sheet(
     *,
     title: str,
     note: str,
+    drape: Any = None,
     exaggeration: float = 1.0,
     jobs: int | None = None,
 ) -> Pixels:
@@ -113,6 +115,7 @@ def sheet(
         view: of every panel (``panel_view``).
         panels: at least one.
         title: above all. note: below all, in small type.
+        drape: the image over the ground; None: its tint.
         exaggeration: as the meshes'.
         jobs: threads.
 
@@ -146,7 +149,7 @@ def sheet(
             color = ALARM if panel.alarm and i == len(panel.lines) - 1 else GREY
             words = cut(style.text(line), small, view.width, style)
             set_type(page, (x, y + 20 + lead * (i + 1)), words, small, color, "ls")
-        picture = Image.fromarray(_picture(terrain, view, panel, exaggeration, jobs))
+        picture = Image.fromarray(_picture(terrain, view, panel, drape, exaggeration, jobs))
         page.paste(HAIR, (x - 1, y + caption - 1, x + view.width + 1, y + caption + view.height + 1))
         page.paste(picture, (x, y + caption))
     words = style.text(note)
@@ -155,11 +158,14 @@ def sheet(
     return np.asarray(page, np.uint8).copy()
 
 
-def _picture(terrain: Terrain, view: View, panel: Panel, exaggeration: float, jobs: int | None) -> Pixels:
+def _picture(
+    terrain: Terrain, view: View, panel: Panel, drape: Any, exaggeration: float, jobs: int | None
+) -> Pixels:  # fmt: skip
     """A panel's mesh with its edges over the terrain's relief, or the terrain alone."""
     scene = Scene.of(
         terrain, view, sun=Sun(315.0, 50.0), shadows=False, exaggeration=exaggeration, jobs=jobs,
         method="auto" if panel.mesh is None else panel.title, wireframe=panel.mesh is not None,
+        layers=() if drape is None else drape,
     )  # fmt: skip
     return draw(scene, mesh=panel.mesh).pixels
 

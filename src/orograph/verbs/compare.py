@@ -135,7 +135,7 @@ def compare(
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most this many) are the goal.
         conservative: refuse methods that do not promise the tolerance.
-        drape: the image whose colours a method's color-tolerance looks at.
+        drape: the image whose colours a method's color-tolerance looks at; the picture shows it.
         exaggeration: how heights are stretched on the screen.
         size: of the views, pixels; None: their own; of the default views, 1280 × 720.
         picture: also draw the first view's meshes side by side, into this file.
@@ -298,7 +298,7 @@ def _drawn(panels: Sequence[Panel], means: _Means, view: View) -> Picture:
         pixels = sheet(
             terrain, view, panels, note=note,
             title=f"The same view, {asked}" if len(panels) > 1 else f"{terrain.name}, {asked}",
-            exaggeration=means.exaggeration, jobs=means.jobs,
+            drape=means.drape, exaggeration=means.exaggeration, jobs=means.jobs,
         )  # fmt: skip
     return Picture(pixels, np.empty((0, 0), np.float32), view)
 
