@@ -176,7 +176,7 @@ def corner(path):
         source.read(rows - 1, rows, cols - 1, cols)
         source.read(0, min(rows, 4096), 0, min(cols, 64), step=64)
 for path in sys.argv[1:]:
-    for what in (read, corner, lambda p: info(p, progress=SILENT, exact=None, jobs=2)):
+    for what in (lambda p: read(p, progress=SILENT), corner, lambda p: info(p, progress=SILENT, exact=None, jobs=2)):
         before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.perf_counter()
         try:
             what(path)

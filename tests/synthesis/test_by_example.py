@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import os
 import signal
 import subprocess
@@ -17,6 +16,7 @@ from affine import Affine
 from click.testing import CliRunner
 
 import orograph
+import orograph.store.ways
 from orograph.cli.synth import command
 from orograph.errors import OrographError, UsageError
 from orograph.geo.grid import Grid
@@ -91,12 +91,12 @@ def test_a_fractal_store(tmp_path: Path) -> None:
 
 
 KILLED = """
-import importlib, os, signal, sys
-import orograph
+import os, signal, sys
+import orograph, orograph.store.ways
 from orograph.dem.synth import Synth
 from orograph.synthesis.terrain import ByExample
 
-importlib.import_module("orograph.store.build").SHARDS = (512,)  # (as an attribute it is the function)
+orograph.store.ways.SHARDS = (512,)
 lidar, store = sys.argv[1:]
 how = {"exemplar": lidar} if lidar else {}
 one, left = ByExample if lidar else Synth, 5
@@ -135,7 +135,7 @@ def test_a_killed_store_is_finished_to_the_same_bytes(
     assert ran.exit_code == 0, ran.output
     kept = {name: at for name, at in made.items() if "/c/" in name}
     assert {name: (killed / name).stat().st_mtime_ns for name in kept} == kept, "what was done is done again"
-    monkeypatch.setattr(importlib.import_module("orograph.store.build"), "SHARDS", (512,))
+    monkeypatch.setattr("orograph.store.ways.SHARDS", (512,))
     more = {"exemplar": lidar} if example else {}
     for _ in range(2):  # begins one; and finds it complete
         assert orograph.synth(whole, size=(1100, 1030), seed=4, resume=True, progress=False, **more) == whole

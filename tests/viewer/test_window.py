@@ -255,6 +255,17 @@ def test_any_size(window, hand, size):
     assert window.session.view.height == 500
 
 
+def test_a_new_size_is_drawn_at_once(window, hand, monkeypatch):
+    hand.rest()
+    asked = []
+    monkeypatch.setattr(window.canvas, "request_draw", lambda *_: asked.append(True))
+    window.canvas._size_info.set_physical_size(700, 500, 1.0)
+    window.canvas._process_events()
+    assert asked
+    hand.frames(2)
+    assert window.session.view.height == 500
+
+
 def test_the_help_fits_a_small_window(window, hand):
     window.canvas.set_logical_size(360, 240)
     hand.key("F1")

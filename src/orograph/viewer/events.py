@@ -27,6 +27,7 @@ class Events:
             (self._on_leave, "pointer_leave"),
             (self._on_key, "key_down", "key_up"),
             (self._on_text, "char"),
+            (self._on_resize, "resize"),
             (self._on_close, "close"),
         ):
             window.canvas.add_event_handler(handler, *kinds)
@@ -106,6 +107,9 @@ class Events:
             binding.do(self.window)
         else:
             nav.key_down(key, modifiers)
+
+    def _on_resize(self, event: dict[str, Any]) -> None:
+        self.window.touch()  # (rendercanvas may tell of a new size and not draw)
 
     def _on_close(self, event: dict[str, Any]) -> None:
         self.window.renewal.close()
