@@ -179,7 +179,7 @@ def test_parts_bake_into_a_version(s3, tmp_path):
     assert not any(name.startswith(PARTIAL) for name in objects(url))
 
 
-@pytest.mark.parametrize("case", ["swept", "rays"])
+@pytest.mark.parametrize("case", [pytest.param("swept", marks=pytest.mark.stress), "rays"])
 def test_workers_of_other_machines_make_what_one_process_makes(s3, area, tmp_path, case, monkeypatch):
     names, options = CASES[case][0][:2], CASES[case][1]
     left = [9]

@@ -144,7 +144,10 @@ def brute_tables(t, legs):
     return exact, saturated
 
 
-@pytest.mark.parametrize(("shape", "legs"), [((65, 65), 4), ((65, 65), 8), ((50, 61), 4), ((300, 280), 16)])
+@pytest.mark.parametrize(
+    ("shape", "legs"),
+    [((65, 65), 4), ((65, 65), 8), ((50, 61), 4), pytest.param((300, 280), 16, marks=pytest.mark.stress)],
+)
 def test_errors_of_patches(shape, legs):
     t = plain.terrain(plain.rough(np.random.default_rng(3), shape))
     found, top = patch_errors(t, "exact", legs), t.levels - 1

@@ -62,7 +62,13 @@ def test_a_cluster_is_started_again_if_a_worker_dies_as_it_starts(monkeypatch):
         workforce._started(2)
 
 
-@pytest.mark.parametrize("kept", [{}, {"codec": "progressive", "max_error": 0.05}], ids=["lossless", "progressive"])
+@pytest.mark.parametrize(
+    "kept",
+    [
+        pytest.param({}, id="lossless"),
+        pytest.param({"codec": "progressive", "max_error": 0.05}, id="progressive", marks=pytest.mark.stress),
+    ],
+)
 def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     dem = written(tmp_path / "a.tif")
     how = SIZES | kept

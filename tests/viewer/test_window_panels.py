@@ -213,7 +213,13 @@ def test_a_played_day_moves_the_sun(window, hand):
     assert light.sun(window.session.terrain).altitude > -90
 
 
-@pytest.mark.parametrize("method", names("triangles"))
+USUAL = ("quadtin", "roam", "smart")
+"""Methods of three kinds, which are tried every time; the others take a quarter of a minute each."""
+
+
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=() if name in USUAL else pytest.mark.stress) for name in names("triangles")]
+)
 def test_every_method_draws_the_ground_and_says_what_it_made(window, hand, method):
     settings = window.session.settings
     settings.tolerance = 2.0
