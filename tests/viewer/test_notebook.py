@@ -217,3 +217,41 @@ def test_messages_of_a_page_are_heard_in_the_thread_that_draws(monkeypatch):
 
     assert asyncio.run(live()) == "a view"
     assert heard == [(kind, threading.get_ident()) for kind in ("draw", "pointer_move", "key_down", "key_up")]
+
+
+def test_frames_that_were_lost_hold_up_no_others(monkeypatch):
+    class Canvas:
+        _frame_feedback, _rfb_frame_index, _max_buffered_frames = {}, 0, 2
+
+        def __init__(self, size):
+            pass
+
+        def _rfb_send_frame(self, array):
+            self._rfb_frame_index += 1
+
+        def _rfb_handle_msg(self, widget, content, buffers):
+            pass
+
+    module = types.ModuleType("rendercanvas.anywidget")
+    module.RenderCanvas = Canvas
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
+    from orograph.viewer import cell
+
+    now = [10.0]
+    monkeypatch.setattr(cell.time, "monotonic", lambda: now[0])
+    canvas = cell.make_canvas((300, 200))
+
+    def moved():
+        canvas._rfb_handle_msg(None, {"type": "pointer_move"}, [])
+        return canvas._frame_feedback.get("index", 0)
+
+    now[0] += 60.0
+    assert moved() == 0  # nothing was sent
+    canvas._rfb_send_frame(None)
+    now[0] += cell.LOST + 1.0
+    assert moved() == 0  # another may follow
+    canvas._rfb_send_frame(None)
+    now[0] += cell.LOST - 1.0
+    assert moved() == 0  # they may still come
+    now[0] += 2.0
+    assert moved() == 2

@@ -5,6 +5,7 @@
 - A cell has the keyboard as soon as it was clicked: no key that follows goes elsewhere.
 - A drag ends where the button was released. ``rendercanvas`` holds moves back for some milliseconds but not the
   release, which would otherwise overtake the last of them, or all of a quick drag's.
+- A frame that the page never confirms (its connection was cut) holds up the next ones no longer than ``LOST``.
 - While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
   digit).
 - The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
@@ -16,11 +17,16 @@ Lengths are CSS pixels.
 from __future__ import annotations
 
 import asyncio
+import math
+import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
 FRAME = 4
 """CSS pixels that the widget's frame adds to the picture."""
+
+LOST = 3.0
+"""Seconds after which an unconfirmed frame counts as lost, if the page sends events."""
 
 SCRIPT = """
 {
@@ -75,6 +81,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
         """The widget; ``pasted`` is called with what the page pastes."""
 
         _esm = getattr(RenderCanvas, "_esm", "") + SCRIPT
+        _frame_feedback: dict[str, Any]
 
         def __init__(self, **given: Any) -> None:
             try:
@@ -82,6 +89,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
             except RuntimeError:
                 self._home = None
             self.pasted: Callable[[str], None] = lambda text: None
+            self._sent = math.inf
             super().__init__(**given)
 
         def _at_home(self, do: Callable[..., None], *arguments: Any) -> None:
@@ -93,7 +101,20 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
         def _rfb_schedule_maybe_draw(self, *_: Any) -> None:
             self._at_home(super()._rfb_maybe_draw)
 
+        def _rfb_send_frame(self, *arguments: Any, **options: Any) -> None:
+            self._sent = time.monotonic()
+            super()._rfb_send_frame(*arguments, **options)
+
+        def _go_on(self) -> None:
+            """Forget frames that were lost on the way; called when the page is known to be there."""
+            if not time.monotonic() - self._sent > LOST:
+                return
+            last, now = self._rfb_frame_index, time.time()
+            if last - self._frame_feedback.get("index", 0) >= self._max_buffered_frames:
+                self._frame_feedback = {"index": last, "timestamp": now, "localtime": now}
+
         def _rfb_handle_msg(self, widget: Any, content: dict[str, Any], buffers: Sequence[Any]) -> None:
+            self._at_home(self._go_on)
             if content.get("type") == "orograph_paste":
                 self._at_home(self.pasted, str(content.get("text", "")))
             else:
