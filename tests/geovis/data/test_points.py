@@ -74,7 +74,7 @@ def test_it_says_why_no_point_is_left(tmp_path: Path) -> None:
     swapped = refusal("lon,lat,v\n50.54,-2.98,1\n50.53,-2.97,2\n", tmp_path / "swapped.csv")
     assert "seem to be exchanged" in swapped and "exchanged" not in away
     bare = refusal("lon,lat,v,w\n-2.98,50.54,,1\n", tmp_path / "bare.csv", variable="v")
-    assert "There is no attribute 'v' of numbers" in bare or "has a place and a number as v" in bare
+    assert "has a place and a number as v" in bare
 
 
 def test_a_point_whose_uncertainty_is_unknown_is_not_drawn_as_certain() -> None:

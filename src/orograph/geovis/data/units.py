@@ -1,4 +1,4 @@
-"""Units in which standard deviations may be given: differences of 1.8 °F and 1 K are the same, and so are 1 °C."""
+"""Units of standard deviations. Only differences count: 1 K is 1 °C or 1.8 °F."""
 
 from __future__ import annotations
 
@@ -10,16 +10,13 @@ KINDS: tuple[dict[str, float], ...] = (
     {"hPa": 1.0, "Pa": 0.01, "kPa": 10.0},
     {"m/s": 1.0, "km/h": 1 / 3.6, "kn": 1852 / 3600, "kt": 1852 / 3600, "knots": 1852 / 3600},
 )
-"""Units of one kind, each in the first of them."""
+"""Units that measure the same thing, and how many of the first of them each is."""
 
 
 def ratio(unit: str, of: str) -> float | None:
-    """What a difference of 1 in a unit is in another; 1 where either is not known, None: they measure other things."""
-    one, other = ((written_unit(told), _kind(written_unit(told))) for told in (unit, of))
-    if one[1] is None or other[1] is None:
-        return 1.0
-    return one[1][one[0]] / other[1][other[0]] if one[1] is other[1] else None
-
-
-def _kind(unit: str) -> dict[str, float] | None:
-    return next((units for units in KINDS if unit in units), None)
+    """A difference of one ``unit`` in the unit ``of``; 1 if either is unknown, None if they measure different things."""
+    unit, of = written_unit(unit), written_unit(of)
+    kinds = [units for units in KINDS if unit in units or of in units]
+    if any(unit in units and of in units for units in kinds):
+        return kinds[0][unit] / kinds[0][of]
+    return 1.0 if len(kinds) < 2 else None
