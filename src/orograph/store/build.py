@@ -168,6 +168,7 @@ def build(
         ReadError, UsageError: a source cannot be read or is not metric.
     """
     # (One long function: two thirds of it are its options and their descriptions.)
+    # (One function, though long: most of it is its options and what they mean.)
     from orograph.store import handing
     from orograph.store.adding import Needs, add, is_itself
     from orograph.store.build_state import check_shareable

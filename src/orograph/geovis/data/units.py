@@ -14,7 +14,7 @@ KINDS: tuple[dict[str, float], ...] = (
 
 
 def ratio(unit: str, of: str) -> float | None:
-    """A difference of one ``unit`` in the unit ``of``; 1 if either is unknown, None if they measure different things."""
+    """A difference of one ``unit`` in the unit ``of``; 1 if either is unknown, None if they differ in kind."""
     unit, of = written_unit(unit), written_unit(of)
     kinds = [units for units in KINDS if unit in units or of in units]
     if any(unit in units and of in units for units in kinds):
