@@ -199,3 +199,33 @@ def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
     assert one == one.copy() and one != other and hash(one) == hash(one.copy()) and one != "numpy"
     """
     assert run(code, tmp_path) == ""
+
+
+
+SORTED = """
+import os, re, sys
+import numpy as np
+from orograph._numba import kernel
+
+@kernel
+def order(x):
+    return np.argsort(x)
+
+child = "fork" in sys.argv and os.fork()
+if child:
+    os.wait()
+assert order(np.array([3.0, 1.0, 2.0], np.float32 if child else np.float64)).tolist() == [1, 2, 0]
+code = next(iter(order.overloads.values())).library.get_llvm_str()
+print(re.search(r"run_quicksort1B[0-9]*v([0-9]+)", code)[1], flush=True)
+"""
+
+
+@pytest.mark.parametrize("processes", [["alone", "alone"], ["fork"]][: 1 + hasattr(os, "fork")])
+def test_no_two_processes_give_their_functions_the_same_names(tmp_path: Path, processes: list[str]) -> None:
+    """Kernels of two processes are loaded side by side: one that asked for an order was given its values, sorted."""
+    (tmp_path / "kernels.py").write_text(SORTED)
+    names = []
+    for k, process in enumerate(processes):
+        code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); sys.argv.append({process!r}); import kernels"
+        names += run(code, tmp_path / str(k)).split()
+    assert len(names) == len(set(names)) == 2

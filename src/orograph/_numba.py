@@ -10,6 +10,8 @@ compiling takes hundreds of MiB, which the work's process would keep.
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
 import pickle
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
@@ -17,6 +19,7 @@ from typing import Any, TypeVar, cast
 import numba
 import numba.core.event
 import numba.extending
+from numba.core.bytecode import FunctionIdentity
 from numpy.typing import NDArray
 
 from orograph._linked import Linked
@@ -37,6 +40,20 @@ class _Listener(numba.core.event.Listener):
 
 
 numba.core.event.register("numba:compile", _Listener())  # type: ignore[no-untyped-call]
+
+
+def _name_apart() -> None:
+    """Number the functions that this process compiles from a random number on.
+
+    Numba tells functions of one name apart by counting them, and the number is part of their symbols: "run_quicksort1,
+    the tenth" sorts in one process and finds the order in another. Loaded from the cache side by side, the kernels of
+    both would call the one that is loaded first.
+    """
+    FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(6), "big"))
+
+
+_name_apart()
+os.register_at_fork(after_in_child=_name_apart)
 
 
 _PLAIN: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
