@@ -201,7 +201,6 @@ def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
     assert run(code, tmp_path) == ""
 
 
-
 SORTED = """
 import os, re, sys
 import numpy as np
