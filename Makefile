@@ -12,7 +12,7 @@ SOURCES := $(shell find src -name '*.py' 2>/dev/null)
 help:
 	@echo 'make demo   install, and render the built-in sample to out/'
 	@echo 'make test   install what the tests need, and run them'
-	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs'
+	@echo 'make test-all  also the long ones: fuzzing, kills, concurrent runs, windows, notebooks'
 	@echo 'make check  ruff, mypy and the direction of imports'
 	@echo 'make bench  the benchmarks, as tables; QUICK=1: the main ones in small forms, ten minutes at most'
 	@echo 'make docs   the documentation site, its gallery and tutorials run, in site/'

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,19 @@ settings.register_profile("orograph", deadline=None)
 settings.load_profile("orograph")
 
 DATA = Path(os.environ.get("OROGRAPH_DATA", Path(__file__).parents[1].parent / "shared" / "data"))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is beyond the first cases of a test that says how many ``make test`` runs."""
+    seen: Counter[str] = Counter()
+    for item in items:
+        few = item.get_closest_marker("cases")
+        if few:
+            name = item.nodeid.partition("[")[0]
+            seen[name] += 1
+            if seen[name] > few.args[0]:
+                item.add_marker("stress")
 
 
 @pytest.fixture(scope="session")

@@ -60,6 +60,7 @@ def test_it_is_at_its_keys_in_time_and_rests_at_the_end():
     assert frames[41] == TOUR.at(41 / 60)
 
 
+@pytest.mark.stress
 def test_nothing_jumps():
     """Eye and direction have no step in velocity anywhere: halving the step halves the change of velocity."""
     for of in (eyes, forwards):

@@ -24,6 +24,7 @@ def built(run, hilly, tmp_path):
     return path
 
 
+@pytest.mark.stress
 def test_a_bake_says_what_it_did(run, built):
     given = ("bake", built, "--products", "sky-view-factor,aperture", "--azimuths", 6, "--quiet")
     code, said, err = run(*given)
@@ -51,6 +52,7 @@ def test_a_bake_with_options_replaces(run, built):
             assert layer.bands[0].bits == 16
 
 
+@pytest.mark.stress
 def test_a_bake_in_parts(run, built):
     given = ("bake", built, "--products", "visible-sky", "--azimuths", 4, "--radius", 300, "--quiet")
     code, said, err = run(*given, "--part", "1/2", "--json")  # there is one shard: it is the second part's
@@ -124,6 +126,7 @@ def test_wrong_products_are_refused_before_a_build(run, hilly, tmp_path):
         assert code == 2 and not list(tmp_path.glob("x.oro*")), err
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 def test_ctrl_c_leaves_the_store_as_it_was_and_the_command_goes_on(run, tmp_path):
     dem, path = tmp_path / "big.tif", tmp_path / "big.oro"

@@ -23,6 +23,7 @@ def test_what_is_no_direction(given):
         bearing(given)
 
 
+@pytest.mark.stress
 def test_cameras_and_tours_take_them(run, hilly, tmp_path):
     terrain = orograph.terrain(hilly)
     camera = orograph.camera

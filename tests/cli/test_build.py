@@ -94,6 +94,7 @@ def test_whether_the_source_is_kept(tmp_path):
     assert f"(resampled, ± {told['resampled']['largest']:.3g} m)" in said
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("flags", [[], ["--resume"]])
 def test_a_store_that_is_there_is_not_touched(tmp_path, flags):
     dem = write(tmp_path / "dem.tif", HEIGHTS)
@@ -113,6 +114,7 @@ def test_faults_of_the_command_line_and_of_the_input(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(sys.platform == "win32", reason="needs SIGINT")
 def test_ctrl_c_tells_how_to_resume(tmp_path):
     rng = np.random.default_rng(0)
@@ -134,6 +136,7 @@ def test_ctrl_c_tells_how_to_resume(tmp_path):
         np.testing.assert_array_equal(store.open(tmp_path / "a.oro").read(0, 0, 6200, 0, 6200), file.read(1))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("how", ["plain", "overwrite", "resume", "update"])
 def test_what_an_interrupted_build_says_can_be_done(tmp_path, monkeypatch, how):
     """The same command with what it says is accepted, and finishes."""
@@ -157,6 +160,7 @@ def test_what_an_interrupted_build_says_can_be_done(tmp_path, monkeypatch, how):
     assert store.open(out).grid.shape == (300, 200)
 
 
+@pytest.mark.stress
 def test_a_real_mosaic_within_its_memory(shared_data, tmp_path):
     tiles = sorted((shared_data / "california-3s-tiles").glob("N3[67]W11*.tif"))
     if not tiles:
@@ -198,6 +202,7 @@ def test_what_methods_need_is_stored_ahead(tmp_path):
     assert ran.exit_code != 0 and "no method 'sore'" in str(ran.exception)
 
 
+@pytest.mark.stress
 def test_tins_are_stored_ahead(tmp_path):
     dem = write(tmp_path / "dem.tif", HEIGHTS)
     given = [str(dem), "-o", str(tmp_path / "a"), "--for", "bdam,legs=8"]
@@ -211,6 +216,7 @@ def test_tins_are_stored_ahead(tmp_path):
     assert other.exit_code != 0 and "TINs differ" in str(other.exception)
 
 
+@pytest.mark.stress
 def test_chunks_are_stored_ahead(tmp_path):
     dem = write(tmp_path / "dem.tif", HEIGHTS)
     given = [str(dem), "-o", str(tmp_path / "a"), "--for", "chunked-lod,cells=16,finest=0.5"]

@@ -26,6 +26,7 @@ def of(*methods):
     return tuple(word for method in methods for word in ("--method", method))
 
 
+@pytest.mark.stress
 def test_the_table_and_its_json(run, hilly, tmp_path):
     out = tmp_path / "table.json"
     methods = ["soar", "soar,metric=isotropic", "soar,metric=isotropic-published", "top-down", "raycast"]
@@ -77,6 +78,7 @@ def one_more(tmp_path):
         yield
 
 
+@pytest.mark.stress
 def test_every_method_keeps_its_promise(run, hilly, one_more):
     code, said, _ = run("compare", hilly, "--tolerance", 2, "--json", "-", *SMALL)
     told = json.loads(said)
@@ -116,6 +118,7 @@ def test_no_promise_is_broken_by_a_budget_without_one(run, hilly, monkeypatch):
     assert run(*arguments)[0] == 1
 
 
+@pytest.mark.stress
 def test_all_that_can_reach_a_budget(run, hilly, one_more):
     code, said, err = run("compare", hilly, "--methods", "all", *of("soar,error=wedgie"), "--triangles", 900,
                           "--json", "-", *SMALL[:2])  # fmt: skip
@@ -144,6 +147,7 @@ def test_a_flight(run, hilly, tmp_path):
     assert code == 0 and "change/frame" in said and "0.00 %" in said and "errors over 6 of 6 frames" in said
 
 
+@pytest.mark.stress
 def test_the_sheet(run, hilly, tmp_path):
     out = tmp_path / "sheet.png"
     code, _, _ = run("compare", hilly, *of("soar", "top-down", "soar,metric=isotropic"), "--picture", out, *SMALL)

@@ -35,6 +35,7 @@ def files(tmp_path):
     return tmp_path
 
 
+@pytest.mark.stress
 def test_an_uncertainty_belongs_to_the_data_before_it(run, files, monkeypatch):
     seen = {}
     own = scenes.scene_of

@@ -65,6 +65,7 @@ def test_several_products_are_bands_of_one_file(run, hilly, tmp_path):
     np.testing.assert_allclose(np.degrees(np.arctan2(east, north))[ok] % 360, aspect[ok] % 360, atol=0.05)
 
 
+@pytest.mark.stress
 def test_a_file_says_what_its_products_depend_on_and_nothing_else(run, hilly, tmp_path):
     """Of a map of a year's energy one must be able to tell which year; a slope has no sun."""
     common = {"software", "product", "terrain", "AREA_OR_POINT"}
@@ -257,6 +258,7 @@ def test_a_folder_that_is_not_there(run, hilly, tmp_path):
     assert code == 4 and "folder" in err
 
 
+@pytest.mark.cases(1)
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(("how", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_leaves_what_was_there(tmp_path, how, code):

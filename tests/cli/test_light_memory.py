@@ -50,6 +50,7 @@ def peak(*words) -> int:
     return int(told.stdout) * 1024 // MIB
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in KiB on Linux")
 def test_light_stays_within_what_is_allowed(wide, tmp_path):
     """A build with a bake (406 MiB once, when shards were made whole), a bake, a map."""

@@ -28,6 +28,7 @@ def rendered(run, dem, tmp_path, *options):
     return json.loads(out), np.asarray(Image.open(tmp_path / "p.png").convert("RGB")).astype(int)
 
 
+@pytest.mark.stress
 def test_contours_by_interval_and_by_themselves(run, dem, tmp_path):
     _, bare = rendered(run, dem, tmp_path)
     told, lines = rendered(run, dem, tmp_path, "--contours", "25", "--contour-index", "4", "--no-contour-labels")
@@ -39,6 +40,7 @@ def test_contours_by_interval_and_by_themselves(run, dem, tmp_path):
     assert np.abs(faint - bare).max() <= 60  # what is antialiased may differ
 
 
+@pytest.mark.stress
 def test_silhouettes(run, dem, tmp_path):
     low = ("--lonlat", "-116.999,36.12,800", "--look-at", "-116.985,36.135")
     _, bare = rendered(run, dem, tmp_path, *low)

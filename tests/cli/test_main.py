@@ -62,6 +62,7 @@ def test_version_and_wrong_verbs():
     assert orograph().returncode == 2
 
 
+@pytest.mark.stress
 def test_synth_replaces_nothing(tmp_path):
     out = tmp_path / "a.tif"
     assert orograph("synth", "-o", out, "--size", "40x50").returncode == 0

@@ -144,6 +144,7 @@ def test_a_viewshed(run, hilly, measured, tmp_path):
     assert code == 0 and "samples (" in said, err
 
 
+@pytest.mark.stress
 def test_what_is_probable(run, measured, tmp_path):
     out, picture = tmp_path / "p.tif", tmp_path / "p.png"
     how = ("--sigma", 3, "--range", 90, "--draws", 6, "--seed", 2)

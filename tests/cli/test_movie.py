@@ -187,6 +187,7 @@ def test_a_tour_in_degrees_is_told_in_the_terrains_crs(run, tmp_path):
     assert code == 0 and "2.00 s" in said and "eye (500000, 3983948" in said, err
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("name", ["a.mp4", "f/%03d.png"])
 def test_ctrl_c(hilly, tmp_path, name):
@@ -218,6 +219,7 @@ def test_ctrl_c(hilly, tmp_path, name):
             image.load()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("ending", ["mp4", "webm", "gif", "mkv"])
 def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, ending):
     from orograph.errors import OutputError

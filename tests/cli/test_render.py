@@ -186,6 +186,7 @@ def test_what_an_option_cannot_be_is_said_of_the_option(run, dem, tmp_path, opti
     assert not (tmp_path / "a.png").exists()
 
 
+@pytest.mark.stress
 def test_lights(run, dem, tmp_path):
     """Each light draws another picture; what is baked into a store is used."""
     path, seen = tmp_path / "s.oro", []

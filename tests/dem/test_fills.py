@@ -96,6 +96,7 @@ def test_codes_of_land_cover(tmp_path: Path) -> None:
     assert any("codes of classes" in s for s in said(tmp_path / "a.tif", cover, "uint8"))
 
 
+@pytest.mark.stress
 def test_no_false_alarms_on_real_elevation(shared_data: Path) -> None:
     """All elevation of the open data; whose voids are filled with zeros, and what is no elevation, is suspected."""
     filled = {"srtm_41_19.tif", "srtm_41_19_4326.tif"}

@@ -110,6 +110,7 @@ def test_outputs_in_a_folder_that_is_read(folder):
     assert ran.exit_code == 0 and out.exists()
 
 
+@pytest.mark.stress
 def test_far_apart(tmp_path, monkeypatch):
     files = [tile(tmp_path / f"{east}.tif", east) for east in (200_000, 450_000, 800_000)]
     assert Mosaic.open(files).void == pytest.approx(1 - 3 * 40 / 20_040)

@@ -266,6 +266,7 @@ def test_the_command_line_tells_all(tiles: list[Path], tmp_path: Path) -> None:
     assert isinstance(done.exception, ReadError) and "t3.tif" in str(done.exception)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("named", ["absolute", "relative"])
 def test_many_files_are_opened_by_other_processes(
     named: str, tiles: list[Path], tmp_path: Path, opens: list[str], monkeypatch: Any

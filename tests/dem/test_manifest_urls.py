@@ -70,6 +70,7 @@ def upload(server, tmp_path, number, value):
     return f"s3://terrain/u{number}.tif"
 
 
+@pytest.mark.stress
 def test_only_what_changed_on_a_server_is_opened_and_built_again(server, tmp_path):
     urls = [upload(server, tmp_path, number, 10.0 + number) for number in range(4)]
     listed, store = tmp_path / "far.manifest.geojsonl", tmp_path / "far.oro"
@@ -100,6 +101,7 @@ def test_only_what_changed_on_a_server_is_opened_and_built_again(server, tmp_pat
         assert terrain.read(0, 3, 4, 18, 19) == 99 and terrain.read(0, 3, 4, 2, 3) == 10
 
 
+@pytest.mark.stress
 def test_a_manifest_at_an_address_with_relative_paths(server, tmp_path, here):
     for number in range(2):
         upload(server, tmp_path, number, 5.0 + number)

@@ -366,6 +366,7 @@ def test_windows_are_the_same_to_the_bit(tricky: tuple[Mosaic, NDArray[np.float3
     assert same(m.read(row0, row1, col0, col1), whole[row0:row1, col0:col1])
 
 
+@pytest.mark.stress
 def test_threads_and_internal_pieces_do_not_matter(
     tricky: tuple[Mosaic, NDArray[np.float32]], monkeypatch: pytest.MonkeyPatch
 ) -> None:

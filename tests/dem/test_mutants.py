@@ -41,6 +41,7 @@ def judged(files: list[tuple[str, Path, Path, str | None]], folder: Path, seed: 
     return len(paths)
 
 
+@pytest.mark.stress
 @glibc
 def test_a_few_of_the_formats_that_need_watching(tmp_path: Path) -> None:
     only = {"PNG", "HFA runs", "HFA spilled", "PCIDSK", "PCRaster", "ENVI", "ILWIS", "netCDF", "MRF Deflate", "AAIGrid",

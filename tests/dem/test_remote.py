@@ -74,6 +74,7 @@ def test_what_is_not_there_is_told(server, tmp_path):
     assert code == 3 and "s3://terrain/none.tif" in said and "key does not exist" in said
 
 
+@pytest.mark.stress
 def test_signatures_and_passwords_are_in_no_message_and_no_store(server, raster, tmp_path):
     """A presigned address, and one with a password: as they come from a browser."""
     server.put("terrain/signed.tif", raster.read_bytes())

@@ -101,6 +101,7 @@ def test_keeps_what_is_there_and_ignores_nowhere(method: str, rough: NDArray) ->
     assert out[0, 0] == 5 and out[0, 1] == rough[4, 3] and np.isnan(out[0, 2])
 
 
+@pytest.mark.stress
 @given(st.integers(0, 20), st.integers(0, 25), st.sampled_from(["nearest", "bilinear", "cubic"]))
 @settings(max_examples=30, deadline=None)
 def test_window_origin_does_not_matter(row0: int, col0: int, method: str) -> None:

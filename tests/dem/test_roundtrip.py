@@ -134,6 +134,7 @@ def test_no_height_reaches_1e12_metres(folder: Path, number: int, there: bool) -
     np.testing.assert_array_equal(read(path).heights, truth(huge_number(number)))
 
 
+@pytest.mark.stress
 @settings(max_examples=150, deadline=None)
 @given(rasters(), st.data())
 def test_what_was_written_is_read(folder: Path, case: dict[str, Any], data: st.DataObject) -> None:

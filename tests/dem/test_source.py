@@ -360,6 +360,7 @@ def test_windows_outside_are_refused(tmp_path: Path) -> None:
 # Handles -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.stress
 def test_many_threads_and_files(tmp_path: Path) -> None:
     """200 files read by 8 threads, each file by several at once; the idle handles stay few."""
     sources = []

@@ -287,6 +287,7 @@ def test_an_error_leaves_what_was_there(tmp_path: Path, monkeypatch: pytest.Monk
     assert path.read_bytes() == b"before" and list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(os.name == "nt", reason="POSIX signals")
 def test_interrupt_leaves_no_file(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "orograph", "synth", "-o", str(tmp_path / "a.tif"), "--size", "9000"]

@@ -144,6 +144,7 @@ def test_only_what_is_needed_is_read_by_few_at_once_and_by_name(california):
     assert california.at_once <= 4
 
 
+@pytest.mark.stress
 def test_a_run_that_is_killed_is_continued(california, truth, tmp_path):
     """The second run asks for what the first had not read, and the result is the same."""
     script = (
@@ -256,6 +257,7 @@ def test_what_is_fetched_is_whole_wherever_the_disk_ends(california, tmp_path):
     np.testing.assert_array_equal(read(out).heights, expected)
 
 
+@pytest.mark.stress
 def test_fetches_at_the_same_time_do_not_disturb_each_other(california, truth, tmp_path):
     """All read what the server has, and keep the same parts in the same place."""
     script = (
@@ -303,6 +305,7 @@ def test_a_kept_part_that_is_damaged_is_told_and_read_again(california, truth):
     np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
 
 
+@pytest.mark.stress
 def test_ctrl_c_ends_at_once_and_leaves_nothing_broken(california, truth, tmp_path):
     table, out = tmp_path / "table.toml", tmp_path / "area.tif"
     table.write_text(f'[copernicus-90]\nbase = "{california.url}/copernicus-90"\n')

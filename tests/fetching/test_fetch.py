@@ -139,6 +139,7 @@ def test_columns_that_lie_farther_apart_polewards_are_interpolated_on_those_of_t
     assert any("interpolated" in text for text in told)
 
 
+@pytest.mark.stress
 def test_gzipped_and_zipped_hgt_tiles(web, shared_data):
     values = np.fromfile(shared_data / "n44w072-hgt" / "N44W072.hgt", ">i2").reshape(1201, 1201)
     path, data = skadi("N44W072", values)

@@ -89,6 +89,7 @@ class Count(Progress):
         return Counting()
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("kind", KINDS)
 def test_texels_are_those_of_the_file(tmp_path: Path, kind: str) -> None:
     path = write(tmp_path / "a.tif", kind)
@@ -136,6 +137,7 @@ def test_what_was_interrupted_goes_on_and_is_made_once(tmp_path: Path, monkeypat
     assert told.made == 2
 
 
+@pytest.mark.stress
 def test_a_damaged_block_is_made_again_and_a_changed_file_has_its_own(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tif")
     drape = Drape.open(path, GRID, 4 << 20)
@@ -174,6 +176,7 @@ def test_a_folder_that_cannot_be_written_is_told_with_what_to_do(tmp_path: Path,
         kept.make(kept.blocks)
 
 
+@pytest.mark.stress
 def test_pictures_are_those_of_the_whole_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Near and far footprints: out of kept levels as out of one reading of all of it."""
     path = write(tmp_path / "a.tif", "rgba")

@@ -72,6 +72,7 @@ def test_opacity_of_arrays(ground: orograph.Terrain) -> None:
         np.testing.assert_array_equal(found[:, 32:], bare[:, 32:])
 
 
+@pytest.mark.stress
 def test_arrays_with_a_place(ground: orograph.Terrain, tmp_path: Path) -> None:
     xr = pytest.importorskip("xarray")
     values = np.add.outer(np.arange(20.0), np.arange(20.0)).astype(np.float32)

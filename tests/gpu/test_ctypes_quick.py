@@ -114,6 +114,7 @@ def same(a: object, b: object, names: list[str]) -> None:
             assert x.elements == y.elements
 
 
+@pytest.mark.stress
 def test_remembered_declarations_are_those_that_were_read(tmp_path):
     text = long_header()
     plain = cffi.FFI()

@@ -81,6 +81,7 @@ CASES = [
 ]
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(("everything", "n", "samples"), CASES)
 def test_scalars_arrays_and_kernels_agree(everything, n, samples) -> None:
     from orograph.hierarchy import kernels

@@ -62,6 +62,7 @@ def objects(url):
     return {name: place.get(name) for name in place.listed()}
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("fault", [{}, {"refuse": 0.1, "cut": 0.02}])
 def test_parts_make_what_one_process_makes(s3, area, whole, tmp_path, fault):
     for name, share in fault.items():
@@ -76,6 +77,7 @@ def test_parts_make_what_one_process_makes(s3, area, whole, tmp_path, fault):
     assert not any((tmp_path / "c" / "bakes").iterdir())  # nothing stays on the machines of parts
 
 
+@pytest.mark.stress
 def test_rays_too(area, tmp_path):
     names, options = CASES["rays"]
     for index in (2, 1):
@@ -85,6 +87,7 @@ def test_rays_too(area, tmp_path):
     assert objects(area) == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_a_part_that_is_killed_goes_on_and_missing_ones_are_named(area, whole, monkeypatch):
     swept, put, count = [], BucketStorage.put, [0]
 
@@ -114,6 +117,7 @@ def test_a_part_that_is_killed_goes_on_and_missing_ones_are_named(area, whole, m
     assert objects(area) == whole
 
 
+@pytest.mark.stress
 def test_a_finish_that_is_killed_is_done_again(area, whole, monkeypatch):
     for index in (1, 2):
         bake(area, NAMES, OPTIONS, part=(index, 2))
@@ -133,6 +137,7 @@ def test_a_finish_that_is_killed_is_done_again(area, whole, monkeypatch):
     assert objects(area) == whole
 
 
+@pytest.mark.stress
 def test_another_bake_is_told_and_can_replace_it(area, whole):
     bake(area, NAMES, OPTIONS, part=(1, 3))
     with pytest.raises(StoreError, match=r"Another bake.* was begun in 3 parts.*parts of 3.*`overwrite=True`"):
@@ -148,6 +153,7 @@ def test_another_bake_is_told_and_can_replace_it(area, whole):
         bake(area, *CASES["swept"], part=(1, 2))
 
 
+@pytest.mark.stress
 def test_parts_bake_into_a_version(s3, tmp_path):
     """Where shards are named by their digests, and an older version keeps its own layers."""
     from test_updating import OPTIONS as SIZES
@@ -179,6 +185,7 @@ def test_parts_bake_into_a_version(s3, tmp_path):
     assert not any(name.startswith(PARTIAL) for name in objects(url))
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("case", [pytest.param("swept", marks=pytest.mark.stress), "rays"])
 def test_workers_of_other_machines_make_what_one_process_makes(s3, area, tmp_path, case, monkeypatch):
     names, options = CASES[case][0][:2], CASES[case][1]

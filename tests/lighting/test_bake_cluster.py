@@ -86,6 +86,7 @@ CASES = {
 }
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("case", CASES)
 def test_workers_make_what_one_process_makes(tmp_path, case, by_workers, request):
     names, options = CASES[case]
@@ -96,6 +97,7 @@ def test_workers_make_what_one_process_makes(tmp_path, case, by_workers, request
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_what_is_done_is_not_done_again(tmp_path, by_workers):
     names, options = CASES["swept"]
     bake(made(tmp_path / "whole"), names, options, jobs=1).close()
@@ -113,6 +115,7 @@ def test_what_is_done_is_not_done_again(tmp_path, by_workers):
     assert files(target) == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_on_a_real_cluster(tmp_path):
     pytest.importorskip("distributed")
     names, options = CASES["swept"][0][:2], Options(azimuths=5)

@@ -148,6 +148,7 @@ def test_what_cannot_be():
         insolation(flat, Grid((3, 3), Affine(1, 0, 0, 0, -1, 0)), "2026")
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("latitude", [-89.0, -45.0, 0.0, 30.0, 60.0])
 def test_no_ground_gets_more_than_codes_can_say(latitude):
     """8-bit files and stores would clip it: without air, in the best month, on planes of all kinds."""

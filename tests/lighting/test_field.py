@@ -58,6 +58,7 @@ def lit(looked_at, order) -> np.ndarray:
     return out
 
 
+@pytest.mark.stress
 def test_hits_do_not_depend_on_those_before(looked_at):
     """Windows found for one hit serve the next: in any order, or alone, the same to the bit."""
     _, _, points, width = looked_at

@@ -166,6 +166,7 @@ def dense(
     return best
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("azimuth", [45, 135, *(pytest.param(one, marks=pytest.mark.stress) for one in (225, 315))])
 @pytest.mark.parametrize("radius", [None, 14 * math.sqrt(2.0)])
 def test_exact_along_diagonals(shared_data, azimuth, radius):
@@ -178,6 +179,7 @@ def test_exact_along_diagonals(shared_data, azimuth, radius):
     np.testing.assert_allclose(got.ravel(), truth, atol=2e-6, rtol=2e-6)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("path", "off", "bias"),
     [

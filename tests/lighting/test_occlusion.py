@@ -111,6 +111,7 @@ def test_nothing_depends_on_blocks_and_threads(monkeypatch):
         np.testing.assert_array_equal(ambient_occlusion(h, CELL, jobs=3, **how), whole)
 
 
+@pytest.mark.stress
 def test_on_rough_ground_sweeps_see_what_rays_see():
     """Noise from sample to sample: most of what hides the sky stands in a sample's own cell."""
     y, x = np.mgrid[:61, :83]

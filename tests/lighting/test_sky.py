@@ -60,6 +60,7 @@ def test_planes_seen_from_a_horizontal_surface():
     assert of("sky-view-horizontal", h, azimuths=64)[30, 30] == pytest.approx((1 + math.sqrt(0.5)) / 2, abs=1e-3)
 
 
+@pytest.mark.stress
 def test_floor_and_walls_of_an_infinite_valley():
     # In an endless trench an element sees (sin b − sin a) / 2 of what lies between the angles a and b from its normal.
     h = np.abs(np.arange(-200, 201))[None].repeat(2401, 0)  # walls of 45°, rims 200 m away

@@ -96,6 +96,7 @@ def brute_row(z: np.ndarray, reach: int, bend: float = 0.0, lowest: float = -np.
     return out
 
 
+@pytest.mark.stress
 @settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 2**31), st.integers(1, 80), st.integers(1, 90), st.floats(0, 0.6), st.sampled_from([0, 1e-3, 0.3])
@@ -167,6 +168,7 @@ def test_a_sea_on_a_round_body_goes_to_scratch_and_stays_right(monkeypatch):
     np.testing.assert_allclose(got[0, :, 1:], -30 * bend / 2, rtol=1e-3)  # each sees its neighbour, half a step below
 
 
+@pytest.mark.stress
 def test_a_sweep_stays_within_its_memory():
     """Of a raster that is nowhere whole; threads and stacks included."""
     import tracemalloc

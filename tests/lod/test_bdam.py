@@ -140,6 +140,7 @@ def test_both_sides_of_every_edge_list_the_same_vertices(shape, legs):
         assert checked > 0 or gaps or max(shape) <= 4 * legs + 2
 
 
+@pytest.mark.stress
 def test_edges_of_a_large_terrain():
     t = plain.terrain(plain.rough(np.random.default_rng(1), (1000, 777)))
     method = make(t, 8)
@@ -207,6 +208,7 @@ def test_errors_are_saturated_and_spheres_hold_all_vertices():
         assert np.linalg.norm(np.stack([x, y, used[:, 2]], 1) - place(*at), axis=1).max() <= radius * (1 + 1e-6)
 
 
+@pytest.mark.stress
 def test_smooth_ground_takes_less_than_half_of_regular_patches_triangles():
     y, x = np.mgrid[:513, :513]
     z = 60 * np.sin(x / 90) * np.cos(y / 70) + 25 * np.exp(-(((x - 300) / 12) ** 2)) + 3 * np.sin(x / 11 + y / 17)

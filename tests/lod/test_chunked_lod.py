@@ -98,6 +98,7 @@ def test_errors_double_from_level_to_level_rounded_in_the_exponent():
             assert all(len(body(one)) == 2 for one in whole_level)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("shape", [(129, 129), (100, 77), (129, 40)])
 def test_vertices_move_to_the_parent_s_mesh(shape):
     t = plain.terrain(plain.rough(np.random.default_rng(9), shape))
@@ -350,6 +351,7 @@ def test_the_same_bytes_whatever_else_is_stored_and_damage_is_mended(tmp_path):
     assert open_store(tmp_path / "a.oro").check() == []
 
 
+@pytest.mark.stress
 def test_a_build_out_of_core_makes_the_same(tmp_path, monkeypatch):
     """With its table of vertices in a file, and hardly a corner remembered."""
     from orograph import folders

@@ -34,6 +34,7 @@ def looked_up(field, rows, cols):
     return slots, numbers
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", [(33, 33), (700, 520)])
 def test_pages_hold_heights_and_diamonds(shape):
     rng = np.random.default_rng(shape)

@@ -27,6 +27,7 @@ def odd_terrain(rng: np.random.Generator):
     return plain.terrain(z, angle=float(rng.uniform(0, 360)), stretch=float(rng.choice([1, 3])))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_promise_and_no_defect(seed):
     rng = np.random.default_rng(seed)

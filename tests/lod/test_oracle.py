@@ -31,6 +31,7 @@ def all_true_errors(p, camera):
     return found
 
 
+@pytest.mark.stress
 def test_oracle_is_the_closure_of_the_true_errors():
     rng = np.random.default_rng(21)
     for _ in range(6):

@@ -126,6 +126,7 @@ def test_the_promise_is_kept_by_parts(monkeypatch):
     assert promised >= 15
 
 
+@pytest.mark.stress
 def test_a_store_has_the_hierarchy(tmp_path, monkeypatch):
     t = plain.terrain(plain.rough(np.random.default_rng(5), (400, 380), amplitude=200.0))
     stored = orograph.build(t, tmp_path / "a.oro", quadtin=(4.0, "nearest"), progress=False)
@@ -164,6 +165,7 @@ def test_one_view_that_needs_too_much_is_refused(monkeypatch):
         Resident(make_quadtin(t, 0.0, "nearest"), t.grid, 1 << 20, "t", whole=True)
 
 
+@pytest.mark.stress
 def test_memory_is_what_it_says(monkeypatch):
     """Whole, with the room to refine; and by parts, which are kept as read only where there is room."""
     t = plain.terrain(plain.rough(np.random.default_rng(6), (300, 260), gaps=0.05))

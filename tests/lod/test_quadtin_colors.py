@@ -41,6 +41,7 @@ def off_in(triangle, lab):
     return np.abs(wanted - lab)[inside].max(0, initial=0.0)
 
 
+@pytest.mark.stress
 def test_color_errors_are_those_of_all_samples_and_saturated():
     t = plain.terrain(plain.rough(np.random.default_rng(31), (70, 90)))
     painted = Painted((70, 90))
@@ -58,6 +59,7 @@ def test_color_errors_are_those_of_all_samples_and_saturated():
         assert found[v] == pytest.approx(max([bare[v], *below]), abs=1e-4)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", ["quadtin", "hyperblock,cells=8"])
 def test_colors_are_kept_down_to_the_finest_triangles(name):
     t = plain.terrain(plain.rough(np.random.default_rng(32), (129, 129)))

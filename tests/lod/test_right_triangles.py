@@ -149,6 +149,7 @@ def fewest(name):
     return {"triangle-patches": (128, 81), "restricted-quadtree": (4, 5)}.get(name, (2, 4))
 
 
+@pytest.mark.stress
 def test_a_budget_that_cannot_be_kept_is_recorded():
     plain_, rough = FLAT, plain.terrain(np.where(np.arange(81).reshape(9, 9) == 40, np.nan, 0).astype(np.float32))
     for name in MESHES:

@@ -131,6 +131,7 @@ def keys_of(made: Roam, view: View, **goal) -> set:
     return found
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("metric", ["wedgie", "anisotropic"])
 def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
@@ -154,6 +155,7 @@ def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
             assert verify.judge_mesh(found, t, view, exaggeration=exaggeration).ok(tolerance)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("shape", [(9, 9), (8, 9), (5, 7)])
 def test_looking_ahead_leaves_what_looking_everywhere_allows(shape):
     """On 9² samples six halvings reach every finest triangle."""
@@ -186,6 +188,7 @@ def real(shared_data, name: str) -> MemoryTerrain:
     return plain.terrain(z, cell=30.0 if name == "bigtujunga" else 90.0)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", ["bigtujunga", "rainier"])
 @pytest.mark.parametrize(
     "error, metric", [("exact", "localised"), ("exact", "wedgie"), ("wedgie", "wedgie"), ("exact", "isotropic")]
@@ -268,6 +271,7 @@ def test_budgets_of_triangles_are_kept_and_used(gaps):
             assert finer.triangles >= min(budget, len(found.triangles)) * 0.98
 
 
+@pytest.mark.stress
 def test_with_a_budget_priorities_are_known_to_a_bucket_where_the_queues_cross():
     """Those between the thresholds are at most ``STALE`` off; the others are on their side of them, to that."""
     rng = np.random.default_rng(5)
@@ -327,6 +331,7 @@ def test_the_second_frame_of_a_budget_costs_no_more_than_those_after_it():
     assert computed[1] < 2 * max(computed[2:]) and computed[1] < 0.5 * made.stats["leaves"]
 
 
+@pytest.mark.stress
 def test_a_budget_of_time_ends_in_a_sound_mesh_and_goes_on_in_the_next_frame(monkeypatch):
     monkeypatch.setattr(pace, "LEAST", 40)
     monkeypatch.setattr(method, "CAPACITY", 1 << 11)
@@ -375,6 +380,7 @@ def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
     assert behind > 20
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("goal", [{"triangles": 50}, {"seconds": 1e-9}])
 @pytest.mark.parametrize("options", [{}, {"cull": False}, {"back_facing": 0.0, "occluded": 0.0}])
 def test_no_budget_bridges_or_leaves_out_ground_at_holes(monkeypatch, goal, options):
@@ -406,6 +412,7 @@ def test_what_is_not_culled_is_refined_out_of_view():
     assert sizes[0] == sizes[1] > 4 * sizes[2]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("metric, memory", [("wedgie", 5), ("localised", 8)])
 def test_pages_that_leave_take_nothing_of_the_mesh_with_them(metric, memory):
     t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 1025), amplitude=3000), cell=30)

@@ -49,6 +49,7 @@ def south_up(heights) -> MemoryTerrain:
     return MemoryTerrain(heights, Grid(heights.shape, Affine(30, 0, 1e5, 0, 30, 2e6), None), "south up")
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("metric, bound", [("anisotropic", anisotropic), ("isotropic", isotropic)])
 @pytest.mark.parametrize("shape", plain.SHAPES)
 def test_mesh_is_the_front_of_the_criterion(shape, metric, bound):
@@ -71,6 +72,7 @@ def test_mesh_is_the_front_of_the_criterion(shape, metric, bound):
             assert found.stats["triangles"] == len(wanted)
 
 
+@pytest.mark.stress
 def test_an_eye_inside_the_terrain():
     rng = np.random.default_rng(5)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=300.0))
@@ -124,6 +126,7 @@ def around(t, azimuth: float, far: float, above: float, **options) -> View:
     return View(eye, (x, y, 0.0), **({"fov_y": 50.0, "width": 640, "height": 400} | options))
 
 
+@pytest.mark.stress
 def test_strip_says_the_triangles_and_not_the_threads(large):
     for azimuth, tolerance in ((0.3, 0.5), (2.0, 3.0), (4.0, 40.0)):
         view = around(large, azimuth, 9e3, 2500.0)
@@ -174,6 +177,7 @@ def verdicts(camera, found, col, row, z, e, r):
     return screen.sphere_bound(camera, 0, x, y, w, e, r)
 
 
+@pytest.mark.stress
 def test_the_bound_without_a_root_decides_as_the_bound():
     rng = np.random.default_rng(4)
     t = plain.terrain(np.zeros((101, 101), np.float32))
@@ -303,6 +307,7 @@ def surface(t: Tessellation, shape) -> np.ndarray:
     return z
 
 
+@pytest.mark.stress
 def test_a_morphed_surface_is_the_mean_of_the_meshes_of_all_tolerances():
     rng = np.random.default_rng(21)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=200.0))
@@ -330,6 +335,7 @@ def test_morphed_meshes_keep_the_tolerance(shape):
     assert moved > 200
 
 
+@pytest.mark.stress
 def test_vertices_do_not_jump_along_a_flight():
     rng = np.random.default_rng(4)
     t = plain.terrain(plain.rough(rng, (33, 33), amplitude=300.0))

@@ -14,6 +14,7 @@ from orograph.lod.soar import Soar
 from orograph.lod.stateless import Stateless
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_the_reference_s(shape, gaps):
@@ -40,6 +41,7 @@ def test_mesh_is_the_reference_s(shape, gaps):
                 assert plain.triangles_of(found) == plain.triangles_of(soar.refine(view, tolerance=tolerance))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", [(17, 17), (14, 19)])
 def test_every_budget_is_kept_by_a_valid_mesh(shape):
     rng = np.random.default_rng(shape)

@@ -28,6 +28,7 @@ from orograph.lod.threshold_spheres_pass import decide
 from orograph.viewpoint import Camera
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
@@ -68,6 +69,7 @@ def flight(rng, t, frames, step):
         yield replace(view, eye=tuple(eye), target=tuple(target))
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
 @settings(max_examples=12, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([0.0, 0.1]), st.sampled_from([0.5, 30.0, 400.0]), st.booleans())
@@ -119,6 +121,7 @@ def decided(grid, exaggeration, gamma, cull, diamond, view, share=0.5):
     return decide(camera, cull, col, row, z, e, r * camera.stretch, color, secant, share)
 
 
+@pytest.mark.stress
 def test_nothing_is_decided_otherwise_within_the_motion_it_was_decided_for():
     """Random diamonds and motions of the camera: moved and turned within the slack, the answer is the same."""
     rng = np.random.default_rng(21)

@@ -19,6 +19,7 @@ from orograph.lod.registry import method_of
 from orograph.lod.top_down import TopDown
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_that_of_forced_splits(shape, gaps):
@@ -75,6 +76,7 @@ def localised(p, camera, front):
     return np.maximum(true_errors(p, camera, front), [p.finest_bound(camera, [*map(tuple, t)]) for t in corners])
 
 
+@pytest.mark.stress
 def test_localised_is_exact_without_a_limit_and_between_with_one():
     rng = np.random.default_rng(5)
     for _ in range(4):
@@ -108,6 +110,7 @@ def test_localised_is_exact_without_a_limit_and_between_with_one():
             assert counts[-1] <= wedgie
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", [(17, 17), (14, 19)])
 @pytest.mark.parametrize("metric", ["wedgie", "localised"])
 def test_every_budget_is_kept_by_a_valid_mesh(shape, metric):

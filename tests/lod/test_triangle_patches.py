@@ -144,6 +144,7 @@ def brute_tables(t, legs):
     return exact, saturated
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     ("shape", "legs"),
     [((65, 65), 4), ((65, 65), 8), ((50, 61), 4), pytest.param((300, 280), 16, marks=pytest.mark.stress)],
@@ -333,6 +334,7 @@ def test_the_promise_is_kept_in_every_state_of_a_geomorph(
     assert mesh.stats["conservative"]
 
 
+@pytest.mark.stress
 @settings(max_examples=25)
 @given(**CASES)
 def test_edges_of_missing_ground_are_off_by_less_than_the_tolerance(
@@ -362,6 +364,7 @@ def test_edges_of_missing_ground_are_off_by_less_than_the_tolerance(
         assert np.nanmin(np.linalg.norm(away - pixels[k], axis=-1)) <= tolerance * (1 + 1e-6)
 
 
+@pytest.mark.stress
 @settings(max_examples=40)
 @given(share=st.sampled_from([0.0, 0.2, 0.6, 0.9]), **CASES)
 def test_whatever_tiles_are_there_patches_conform(
@@ -387,6 +390,7 @@ def test_whatever_tiles_are_there_patches_conform(
     assert set(report.defects) <= {"wrong_heights"}
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(("legs", "size", "seed"), [(2, 65, 1), (4, 65, 2), (8, 129, 3), (16, 257, 4)])
 def test_nothing_jumps_when_patches_are_split_or_merged(legs, size, seed):
     rng = np.random.default_rng(seed)
@@ -478,6 +482,7 @@ def test_a_raster_smaller_than_a_patch():
         assert method.legs <= 16 and report.ok(1.0)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("holes", [False, True])
 def test_budgets_are_kept_by_an_eye_near_the_ground(holes):
     """Errors around it have no bound, and no tolerance leads to few triangles; edges of missing ground stay."""

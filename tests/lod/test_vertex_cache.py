@@ -45,6 +45,7 @@ def test_the_same_triangles_with_fewer_misses(cache):
     assert misses(reordered(shuffled, 576, 16), 576, 16) < 0.8 * len(shuffled) < 0.5 * misses(shuffled, 576, 16)
 
 
+@pytest.mark.stress
 def test_patches_of_bdam_are_in_the_order_of_a_cache():
     """About as good as meshoptimizer's order, and vertices come in the order in which they are met."""
     t = plain.terrain(plain.rough(np.random.default_rng(3), (513, 513), amplitude=300.0))

@@ -27,6 +27,7 @@ def ring(centre, radius, n=8, inner=1.0, turn=0.1):
 MIDDLE = (500_465, 3_999_535)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("transform", [SQUARE, RECTANGULAR, ROTATED])
 def test_on_a_plane_the_surface_is_the_plan_by_the_cosine(transform):
     terrain = of_function((60, 60), lambda x, y: 0.5 * (x - 500_000) + 0.25 * (y - 4_000_000), transform)
@@ -124,6 +125,7 @@ def test_every_triangle_is_clipped_as_half_spaces_clip_it(transform):
         assert found.missing_grid == pytest.approx(missing, rel=1e-7, abs=1e-6) and missing > 0
 
 
+@pytest.mark.stress
 def test_the_whole_raster_over_many_tiles_is_the_sum_of_its_triangles():
     h = rough((530, 610), 3, True)
     terrain = terrain_of(h, RECTANGULAR)

@@ -69,6 +69,7 @@ def test_an_error_may_be_given_by_its_parts():
         measure.contours(TERRAIN, interval=10.0)
 
 
+@pytest.mark.stress
 def test_names_are_the_command_lines():
     a, b = corners((5, 5), (30, 20))
     assert measure.los(TERRAIN, a, b, eye=3.0, target=1.0, flat=True).bend == 0.0

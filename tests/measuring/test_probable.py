@@ -284,6 +284,7 @@ def test_a_probable_viewshed_is_the_mean_of_viewsheds():
     assert np.isnan(expected).any() and 0 < np.nanmean(expected) < 1
 
 
+@pytest.mark.stress
 def test_a_wall_hides_with_the_probability_of_its_height():
     """An eye far above level ground, a wall half way to the target: seen if the wall's top is under the line."""
     h = np.full((3, 21), 100.0, np.float32)

@@ -149,6 +149,7 @@ def test_nonsense_is_refused(what):
         line_of_sight(SEA, [at(0), at(10)], at(20))
 
 
+@pytest.mark.stress
 def test_plots(tmp_path, monkeypatch):
     from PIL import Image
 

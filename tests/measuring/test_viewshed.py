@@ -55,6 +55,7 @@ def test_every_sample_by_brute_force(transform, curvature):
     assert checked.min() > 100
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("holes", [False, True])
 def test_each_sample_is_its_own_line_of_sight(holes):
     h = rough((30, 28), 11, holes)

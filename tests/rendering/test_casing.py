@@ -26,6 +26,7 @@ def contrast(backend: str, azimuth: float, altitude: float) -> float:
     return float(high / low)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("backend", ["cpu", "gpu"])
 def test_lines_in_shadow_have_the_contrast_of_lines_in_light(backend, request):
     if backend == "gpu":

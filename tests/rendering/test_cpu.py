@@ -55,6 +55,7 @@ def test_depth_is_that_of_the_triangles(transform, exaggeration, holed):
         agree(picture.depth, embree_depth(ground, view, exaggeration))
 
 
+@pytest.mark.stress
 def test_depth_of_a_real_dem(shared_data):
     path = shared_data / "bigtujunga-srtm30m-utm"
     from orograph.store.prepare import prepare
@@ -148,6 +149,7 @@ def test_threads_do_not_change_a_bit():
             np.testing.assert_array_equal(one.depth, two.depth)
 
 
+@pytest.mark.stress
 def test_threads_do_not_change_a_bit_of_a_store_seen_through_windows(tmp_path):
     """Levels of detail, missing data, water cut by the view: each picture from a store opened anew."""
     heights = holes(hills(900, 1100, tall=300), part=0.0005)
@@ -217,6 +219,7 @@ def test_a_store_gives_the_same_picture(tmp_path):
             np.testing.assert_array_equal(a.depth, b.depth)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("tolerance", [0.5, 2.0])
 def test_level_of_detail_keeps_its_tolerance(tolerance):
     """The surface drawn may be displaced by ``tolerance`` pixels, no more: where it is hit, some exact depth is found

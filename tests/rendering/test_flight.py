@@ -46,6 +46,7 @@ def test_shares_are_those_of_the_scenarios_and_change_smoothly():
     assert np.abs(np.diff(found, axis=0)).max() < 2e-3 and (np.diff(found[:, 0]) <= 0).all()
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(("metres", "name"), [(300, "approach"), (2500, "overflight")])
 def test_a_picture_is_that_of_its_scenario(ground, data, metres, name):
     view = above(ground, metres)

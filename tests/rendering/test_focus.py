@@ -129,6 +129,7 @@ def test_tiles_films_and_furniture_have_it_too(ground, data):
     assert (furnished.pixels != whole.pixels).any()
 
 
+@pytest.mark.stress
 def test_the_gpu_blends_the_same(ground, data, plain, device):
     focus = orograph.Focus("lens", IN, radius=0.3, blend=0.05)
     both = [drawn(ground, data, focus, backend=backend) for backend in ("cpu", "gpu")]

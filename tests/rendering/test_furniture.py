@@ -52,6 +52,7 @@ def test_each_piece_has_its_corner() -> None:
     assert quarters(1280, 720) == (False, False, False, False)
 
 
+@pytest.mark.stress
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 900), st.integers(1, 700), st.text(max_size=60), st.floats(1e-3, 1e6))
 def test_any_size_and_words(width: int, height: int, words: str, scale: float) -> None:

@@ -34,6 +34,7 @@ def ground():
     return terrain(heights)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     ("ending", "pixels", "options"),
     [
@@ -58,6 +59,7 @@ def test_no_seam(tmp_path, ending, pixels, options):
     assert sorted(f.name for f in tmp_path.iterdir()) == sorted([out.name, "depth.tif"])
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("step", [2, 4, 8])
 def test_of_large_pictures_furniture_spares_what_some_pixels_show(tmp_path, monkeypatch, step):
     """Drawn at once, by bands and by tiles the furniture stands in the same places."""
@@ -94,6 +96,7 @@ def test_a_plan_is_a_geotiff_in_its_place(tmp_path):
         assert a.transform.almost_equals(b.transform, 1e-9) and a.crs == b.crs
 
 
+@pytest.mark.stress
 def test_tiffs_are_cloud_optimised(tmp_path):
     """Tiles, overviews that average the picture, and the layout that GDAL's driver promises; also of depths."""
     land = ground()
@@ -145,6 +148,7 @@ def test_bands_cover_a_picture_once(size, pixels):
     assert (covered == 1).all()
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(sys.platform == "win32", reason="peak memory is asked of POSIX")
 def test_memory_stays_that_of_a_band(tmp_path):
     """A picture of 9 million pixels (450 MB of arrays, if drawn at once) within 100 MB more than a small one takes."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
@@ -10,6 +11,7 @@ from orograph.rendering.mesh_points import mesh_heights
 from orograph.tessellation import Tessellation
 
 
+@pytest.mark.stress
 def test_heights_are_those_of_the_triangle_each_point_lies_in() -> None:
     rng = np.random.default_rng(0)
     flat = rng.uniform(0, 300, (500, 2))

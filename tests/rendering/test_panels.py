@@ -29,6 +29,7 @@ def data() -> orograph.Dataset:
     return orograph.Dataset(members.astype(np.float32), name="Field", style="segmented")
 
 
+@pytest.mark.stress
 def test_each_panel_is_its_own_picture(ground, data):
     view = orograph.camera.whole(ground, (400, 300))
     sheet = orograph.render(ground, view, data=data, each="member=2-5", progress=False)
@@ -106,6 +107,7 @@ def test_times_of_one_day_are_told_by_their_hour(ground):
     assert _note(found, "time=2019-03-01") == "one panel for each time on 2019-03-01 (UTC), one scale"
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("measure", ["spread", "ci90"])
 def test_panels_of_members_carry_how_all_of_them_differ(ground, data, measure):
     found = panels_of((data.but(uncertainty=measure),), "member=2-3", ground)
@@ -160,6 +162,7 @@ def test_each_time_has_the_spread_of_its_own_members(ground):
         np.testing.assert_allclose(np.sort(spread, None), np.sort(members.std(0, ddof=1), None), rtol=1e-4)
 
 
+@pytest.mark.stress
 def test_a_long_legend_leaves_panels_alone(ground, data):
     """The legend keeps off the panels whatever it says, and a scale keeps its unit."""
     named = data.but(name="A variable with quite a long name")

@@ -184,6 +184,7 @@ def casting():
         forget(ident)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "options",
     [
@@ -205,6 +206,7 @@ def test_pictures_are_those_of_one_process(casting, options):
     assert made.cluster.imbalance() >= 1 and made.cluster.moved > 0
 
 
+@pytest.mark.stress
 def test_a_real_cluster(tmp_path):
     pytest.importorskip("distributed")
     land = ground(300, 420)

@@ -51,6 +51,7 @@ def scenes(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", ["paper", "sky", "turned", "drape", "plan", "coarse", "plain", "mesh"])
 def test_a_tile_is_the_whole_there(tmp_path, name):
     scene = scenes(tmp_path)[name]
@@ -68,6 +69,7 @@ def test_a_tile_is_the_whole_there(tmp_path, name):
     assert counts == whole.facts["shown"] and counts["ground"] > 0
 
 
+@pytest.mark.stress
 def test_a_tile_may_have_silhouettes_and_labels():
     """Silhouettes need a wider rim than labels, whose letters are the whole's to a level of grey."""
     scene = Scene.of(ground(), camera.around(ground(), SIZE, azimuth=200, pitch=25, distance=3000), samples=1,
@@ -101,6 +103,7 @@ def test_what_a_tile_cannot_have():
         draw(Scene.of(land, away.tile(0, 0, 10, 10)))
 
 
+@pytest.mark.stress
 def test_what_is_kept_changes_nothing(tmp_path):
     """Pictures drawn one after the other, each as if it were the first."""
     memo = Memo()

@@ -73,6 +73,7 @@ def by_workers(monkeypatch):
     return left
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("ending", ["png", "tif", "jpg"])
 def test_the_bytes_of_one_process(tmp_path, ending, by_workers):
     land = ground()
@@ -88,6 +89,7 @@ def test_the_bytes_of_one_process(tmp_path, ending, by_workers):
     assert sorted(f.name for f in tmp_path.iterdir()) == sorted([f"a.{ending}", "depth.tif", "one"])
 
 
+@pytest.mark.stress
 def test_what_is_drawn_is_not_drawn_again(tmp_path, by_workers):
     land = ground()
     scene = Scene.of(land, camera.whole(land, SIZE))
@@ -115,6 +117,7 @@ def test_what_is_drawn_is_not_drawn_again(tmp_path, by_workers):
     assert (tmp_path / "b.png").read_bytes() == (tmp_path / "two.png").read_bytes()
 
 
+@pytest.mark.stress
 def test_what_is_damaged_is_drawn_again(tmp_path, by_workers, monkeypatch):
     land, made = ground(), []
     scene = Scene.of(land, camera.whole(land, SIZE))
@@ -141,6 +144,7 @@ def test_what_is_damaged_is_drawn_again(tmp_path, by_workers, monkeypatch):
     assert (tmp_path / "a.tif").read_bytes() == (tmp_path / "one.tif").read_bytes()
 
 
+@pytest.mark.stress
 def test_workers_share_the_memory_that_a_picture_may_take(tmp_path, by_workers, monkeypatch):
     land, seen = ground(), []
     scene = Scene.of(land, camera.whole(land, SIZE), max_memory=2 << 30)
@@ -152,6 +156,7 @@ def test_workers_share_the_memory_that_a_picture_may_take(tmp_path, by_workers, 
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "one.png").read_bytes()
 
 
+@pytest.mark.stress
 def test_a_real_cluster(tmp_path):
     pytest.importorskip("distributed")
     land = ground()

@@ -45,6 +45,7 @@ NEEDS = [
 ]  # fmt: skip
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("needs", NEEDS, ids=lambda needs: "-".join(needs))
 def test_what_is_added_is_what_a_new_build_makes(heights: np.ndarray, needs: dict[str, Any], tmp_path: Path) -> None:
     place = built(heights, tmp_path / "a.oro")
@@ -125,6 +126,7 @@ def test_a_store_that_is_updated_goes_on_being_updated(tmp_path: Path) -> None:
     assert objects(place) == objects(tmp_path / "b.oro")
 
 
+@pytest.mark.stress
 def test_a_copy_of_a_store_and_of_a_part(heights: np.ndarray, tmp_path: Path) -> None:
     place = built(heights, tmp_path / "a.oro")
     orograph.build(str(place), tmp_path / "b.oro", tins=4, **SHARDS).close()

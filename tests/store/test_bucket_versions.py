@@ -128,6 +128,7 @@ def equals_a_new_build(url, files, folder: Path, **options) -> None:
         assert terrain.record.height_range == other.record.height_range
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "options",
     [
@@ -177,6 +178,7 @@ def test_a_second_update_goes_on_from_what_the_first_took_over(area, tmp_path, m
     equals_a_new_build(url, files, tmp_path / "other.oro")
 
 
+@pytest.mark.stress
 def test_versions_are_kept_and_what_none_of_them_needs_is_removed(area):
     changed, url, files = area
     states = [objects(url)]
@@ -203,6 +205,7 @@ def test_versions_are_kept_and_what_none_of_them_needs_is_removed(area):
         assert terrain.version == 5 and orograph.info(url)["versions"] == [4]
 
 
+@pytest.mark.stress
 def test_readers_go_on_with_the_version_they_have_open(area, monkeypatch):
     changed, url, _ = area
     monkeypatch.setattr("orograph.store.watch.EVERY_REMOTE", 0.0)
@@ -278,6 +281,7 @@ def test_a_store_that_was_built_without_updates_becomes_version_1(s3, tmp_path):
         assert terrain.version == 2 and terrain.check() == []
 
 
+@pytest.mark.stress
 def test_light_stays_with_its_version(area):
     changed, url, _ = area
     bake(url, ["visible-sky"], Options(azimuths=4), progress=False).close()
@@ -405,6 +409,7 @@ class Ended(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("when", ["heights/1/", *(pytest.param(each, marks=pytest.mark.stress) for each in MORE)])
 def test_an_update_that_is_killed_leaves_the_old_version_and_goes_on(area, tmp_path, monkeypatch, when):
     from orograph.store.bucket import BucketStorage
@@ -518,6 +523,7 @@ def test_clients_that_are_killed_at_any_time(s3, area, tmp_path):
     assert kills > 6
 
 
+@pytest.mark.stress
 def test_of_two_updates_at_once_one_wins_and_the_other_is_told(s3, area, tmp_path):
     _, url, files = area
     tile(tmp_path / "tiles", 0, 0, 1)

@@ -78,6 +78,7 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
 
 
+@pytest.mark.stress
 def test_a_store_in_a_bucket_has_the_bytes_of_one_in_a_folder_and_no_request_lists(s3, local):
     url = "s3://terrain/same/area.oro"
     with store.build(source(HEIGHTS), url, **SIZES) as terrain:
@@ -98,6 +99,7 @@ def test_a_store_in_a_bucket_has_the_bytes_of_one_in_a_folder_and_no_request_lis
         np.testing.assert_array_equal(other.read(0, 0, 5, 0, 5), HEIGHTS[:5, :5] + 1)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("fault", [{"refuse": 0.2, "cut": 0.05, "slow": 0.002}])
 def test_faults_change_nothing(s3, local, fault):
     url = f"s3://terrain/faults/{'-'.join(fault)}.oro"
@@ -332,6 +334,7 @@ def test_small_reads_are_put_together(s3, local):
         assert s3.asked == {"GET": 1}
 
 
+@pytest.mark.stress
 def test_a_store_is_published_with_all_its_bytes_and_its_root_last(s3, local):
     url = "s3://terrain/published/area.oro"
     with broken_off(BucketStorage, 12):
@@ -350,6 +353,7 @@ def test_a_store_is_published_with_all_its_bytes_and_its_root_last(s3, local):
     assert contents("s3://terrain/published/again.oro") == files(local)
 
 
+@pytest.mark.stress
 def test_what_is_damaged_or_in_the_way_is_not_published(s3, local, tmp_path):
     other = tmp_path / "other.oro"
     store.build(source(HEIGHTS + 1), other, **SIZES).close()
@@ -369,6 +373,7 @@ def test_what_is_damaged_or_in_the_way_is_not_published(s3, local, tmp_path):
         publish(local, str(tmp_path / "copy.oro"))
 
 
+@pytest.mark.stress
 def test_a_store_in_a_bucket_is_mended_and_baked_into(s3, tmp_path):
     url = "s3://terrain/mended.oro"
     with store.build(source(HEIGHTS), url, **SIZES):

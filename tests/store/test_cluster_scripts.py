@@ -23,6 +23,7 @@ def run(command, **variables):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.stress
 def test_a_slurm_array(tmp_path):
     dem = written(tmp_path / "a.tif")
     run([sys.executable, "-m", "orograph", "build", dem, "-o", tmp_path / "whole", "--max-memory", "3GiB"])
@@ -33,6 +34,7 @@ def test_a_slurm_array(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_light_by_a_slurm_array(tmp_path):
     dem = written(tmp_path / "a.tif")
     given = ["--products", "sky-view-factor", "--radius", "300", "--azimuths", "4"]
@@ -46,7 +48,7 @@ def test_light_by_a_slurm_array(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
-@pytest.mark.slow
+@pytest.mark.stress
 def test_a_dask_cluster(tmp_path):
     pytest.importorskip("distributed")
     dem = written(tmp_path / "a.tif")
@@ -98,7 +100,7 @@ class KubeCluster(LocalCluster):
 """What stands for packages that need a cloud: clusters of this machine, which look at what they are asked for."""
 
 
-@pytest.mark.slow
+@pytest.mark.stress
 @pytest.mark.parametrize("script", [("build_on_coiled.py", "eu-central-1"), ("build_on_kubernetes.py", "claim")])
 def test_clusters_of_clouds(tmp_path, script):
     pytest.importorskip("distributed")

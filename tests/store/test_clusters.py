@@ -62,6 +62,7 @@ def test_a_cluster_is_started_again_if_a_worker_dies_as_it_starts(monkeypatch):
         workforce._started(2)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "kept",
     [
@@ -82,6 +83,7 @@ def test_workers_make_what_one_process_makes(tmp_path, client, kept):
     assert files(tmp_path / "parts") == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_workers_make_what_follows_from_heights(tmp_path, client, monkeypatch):
     dem = written(tmp_path / "a.tif")
     how = SIZES | {"errors": ("exact", "midpoint"), "chunked": (32, 0)}
@@ -143,6 +145,7 @@ def test_several_damaged_blocks_are_listed(tmp_path, client):
     assert ".." not in str(caught.value)
 
 
+@pytest.mark.stress
 def test_what_was_given_up_is_told_and_resumed(tmp_path, client):
     dem = written(tmp_path / "a.tif")
     store.build(dem, tmp_path / "whole", **SIZES).close()

@@ -228,6 +228,7 @@ def test_what_cannot_be_kept_is_refused(tmp_path):
         store.build(source(HEIGHTS + np.float32(1e9)), tmp_path / "s", max_error=0.1)
 
 
+@pytest.mark.cases(1)
 def test_damage_is_named_and_mended(built, tmp_path):
     area = shutil.copytree(built, tmp_path / "s")
     whole = files(area)

@@ -40,6 +40,7 @@ def everything(terrain):
                     yield read, level, (row, min(row + 32, shape[0]), col, min(col + 32, shape[1]))
 
 
+@pytest.mark.stress
 @settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_a_flipped_bit_is_found_or_harmless(pristine, area, data):

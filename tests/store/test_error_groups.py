@@ -20,6 +20,7 @@ def in_groups(patch, levels):
     )
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("shape", "levels"), [((700, 530), 1), ((513, 512), 2), ((1200, 66), 4)])
 def test_groups_make_what_areas_make(tmp_path, monkeypatch, shape, levels):
     given = source(rough(shape, 3, missing=0.01, hole=True))
@@ -29,6 +30,7 @@ def test_groups_make_what_areas_make(tmp_path, monkeypatch, shape, levels):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_a_whole_raster_has_no_states(tmp_path, monkeypatch):
     given = source(rough((1025, 1025), 5))
     store.build(given, tmp_path / "whole", **SIZES).close()
@@ -37,6 +39,7 @@ def test_a_whole_raster_has_no_states(tmp_path, monkeypatch):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("damage", ["diamonds/1/radius/c/0/0", "parts/errors/groups/2.0.0.part"])
 def test_groups_go_on(tmp_path, monkeypatch, damage):
     given = source(rough((700, 530), 3, missing=0.01))

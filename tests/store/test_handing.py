@@ -153,6 +153,7 @@ def test_points_that_have_changed_are_triangulated_anew(tmp_path, points):
         store.build(points, tmp_path / "s", part=(2, 2), **SIZES)
 
 
+@pytest.mark.stress
 def test_in_a_bucket(tmp_path, points, monkeypatch, request):
     pytest.importorskip("obstore")
     pytest.importorskip("moto.server")

@@ -277,6 +277,7 @@ class Stop(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("keep", [True, False])
 def test_resumed_from_any_write_it_is_the_same(made, tmp_path, monkeypatch, keep):
     inputs, options = [made / "a.tif", made / "b.tif"], {"errors": (), "keep_source": keep, "jobs": 1, **SIZES}

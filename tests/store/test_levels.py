@@ -60,6 +60,7 @@ def test_errors_are_rounded_up():
     assert rounded[0, 0] == 0 and (rounded[0, 1:] <= worst[0, 1:] * (1 + 1e-6) + 1e-12).all()
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("hole", [False, True])
 def test_levels_whose_cells_outgrow_a_shard_have_a_bound_too(tmp_path, hole):
     """Shards of 16 samples make levels up to 4 themselves; those above come from the nested sum or the height range."""

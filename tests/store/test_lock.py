@@ -171,6 +171,7 @@ def test_a_link_to_a_store_stays_a_link(tmp_path):
         np.testing.assert_array_equal(terrain.read(0, 0, 20, 0, 20), rough((20, 20), 2))
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.parametrize("kills", [False, True])
 def test_builds_that_start_at_once(tmp_path, kills):

@@ -62,6 +62,7 @@ def stopping(monkeypatch, after, error, torn=False):
     monkeypatch.setattr(FolderStorage, "put", stop)
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 def test_killed_at_random_moments(tmp_path):
     seed = random.SystemRandom().randrange(10**6)

@@ -49,6 +49,7 @@ def test_a_store_is_the_terrain_in_memory(built):
         same(terrain, store.MemoryTerrain(HEIGHTS, grid_of(HEIGHTS.shape), "rough", "EGM96 height"))
 
 
+@pytest.mark.stress
 @settings(deadline=None, max_examples=12)
 @given(st.integers(1, 300), st.integers(1, 300), st.sampled_from([(32, 8), (64, 64), (256, 32)]), st.integers(1, 3))
 def test_any_shape_any_shards(tmp_path_factory, rows, cols, sizes, jobs):
@@ -156,6 +157,7 @@ def test_what_others_write_into_a_store_is_told_from_its_own(tmp_path):
         store.open(tmp_path / "s").read(0, 0, 9, 0, 9)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("open_files", [2, 128])
 def test_many_readers_at_once(built, monkeypatch, open_files):
     monkeypatch.setattr("orograph.store.storage.OPEN_FILES", open_files)

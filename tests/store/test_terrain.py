@@ -44,6 +44,7 @@ def test_shapes_of_levels(rows, cols, level):
         assert count >= 1 and count * 256 >= n and (count - 1) * 256 < max(n, 1)
 
 
+@pytest.mark.stress
 @settings(deadline=None, max_examples=12)
 @given(st.integers(1, 40), st.integers(1, 900), st.integers(0, 1000), st.sampled_from([0.0, 0.1, 1.0]))
 def test_a_terrain_in_memory_is_what_its_interface_says(rows, cols, seed, missing):

@@ -62,6 +62,7 @@ def corners_of(m):
     return np.stack([m.x[v], m.y[v], m.z[v]], -1).astype(float), live
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_regions_and_legs_are_the_reference_s(shape):
     t = ground(shape)
@@ -153,6 +154,7 @@ def test_deviation_is_that_of_the_surface(shape):
         assert largest <= told * (1 + 1e-9) and told <= largest * 1.1 + 1e-6
 
 
+@pytest.mark.stress
 def test_the_worst_sample_of_a_triangle():
     t = ground((200, 180))
     for number, (at, place) in enumerate(diamonds_of(t, 4)):

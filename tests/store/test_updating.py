@@ -66,6 +66,7 @@ def fresh(files: Any, at: Path, **options) -> dict[str, str]:
     return objects(at)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "options",
     [
@@ -139,6 +140,7 @@ def test_another_range_of_heights_makes_all_errors_again(tmp_path, monkeypatch):
     assert objects(store) == fresh(files, tmp_path / "other.oro")
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("resolution", [None, 17.0, pytest.param(4.0, marks=pytest.mark.stress)])
 def test_resampled_sources(tmp_path, resolution, monkeypatch):
     files = grid_of_tiles(tmp_path / "tiles", 4)
@@ -157,6 +159,7 @@ def test_resampled_sources(tmp_path, resolution, monkeypatch):
     assert objects(store) == fresh(files, other, **options)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("now", [{"kind": "float32"}, {"kind": "int16", "nodata": -9999}])
 def test_sources_whose_numbers_are_of_another_kind(tmp_path, now):
     (tmp_path / "tiles").mkdir()
@@ -184,6 +187,7 @@ def test_points(tmp_path):
         assert objects(store) == fresh(table, tmp_path / "other.oro", resolution=20)
 
 
+@pytest.mark.stress
 def test_what_cannot_be_updated_is_made_again_and_a_note_says_why(tmp_path):
     files = grid_of_tiles(tmp_path / "tiles", 3)
     store, other = tmp_path / "area.oro", tmp_path / "other.oro"

@@ -21,6 +21,7 @@ def marked(folder):
     return {name: crc32c(data) for name, data in files(folder).items()}
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("more", [{}, pytest.param(MORE, marks=pytest.mark.stress)])
 def test_in_a_folder(tmp_path, client, more):  # noqa: F811
     tiles = grid_of_tiles(tmp_path / "tiles", 3)
@@ -64,6 +65,7 @@ def s3(monkeypatch):
         yield server
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("more", [{"errors": ("exact",)}, pytest.param(MORE, marks=pytest.mark.stress)])
 def test_in_a_bucket(s3, tmp_path, client, more):  # noqa: F811
     for name, value in {**ENVIRONMENT, "AWS_ENDPOINT_URL": s3.url}.items():

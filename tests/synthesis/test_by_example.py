@@ -37,6 +37,7 @@ def lidar(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.stress
 def test_a_file_is_what_python_makes_whatever_the_jobs(lidar: Path, tmp_path: Path) -> None:
     made = orograph.synth(size=(700, 530), seed=4, exemplar=lidar, jitter=[0.5, 0.4], progress=False)
     assert isinstance(made, orograph.Dem)
@@ -171,6 +172,7 @@ def test_what_makes_no_sense_is_refused(lidar: Path) -> None:
     assert isinstance(ran.exception, UsageError) and "overwrite" in str(ran.exception)
 
 
+@pytest.mark.stress
 def test_a_store_by_workers_or_in_parts_is_that_of_one_process(lidar: Path, tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")
     how: dict[str, Any] = {"size": (700, 1100), "seed": 4, "exemplar": lidar, "jitter": [0.5, 0.4], "progress": False}

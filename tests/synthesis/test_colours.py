@@ -54,6 +54,7 @@ def photo(lidar: orograph.Dem, tmp_path_factory: pytest.TempPathFactory) -> Path
     return path
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("spacing", [40.0, 5.0])
 def test_like_ground_has_like_colours(photo: Path, lidar: orograph.Dem, spacing: float) -> None:
     shape = int(1600 / spacing) + 1, int(1200 / spacing) + 1
@@ -70,6 +71,7 @@ def test_like_ground_has_like_colours(photo: Path, lidar: orograph.Dem, spacing:
     np.testing.assert_array_equal(whole[21:60, 33:90], made.read(21, 60, 33, 90))
 
 
+@pytest.mark.stress
 def test_a_file_has_them_and_nothing_where_there_is_no_ground(photo: Path, lidar: orograph.Dem, tmp_path: Path) -> None:
     over = ground(50, 60, 40, 7)
     over.heights[:, :12] = np.nan

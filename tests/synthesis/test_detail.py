@@ -60,6 +60,7 @@ def detailed(request: pytest.FixtureRequest, coarse: orograph.Terrain, lidar: or
     return Detailed(coarse, 3, 5, steering)  # one doubling finer than the example
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("example", [False, True])
 def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
     """To the bit: at borders, beside voids, at every level, wherever a window begins."""
@@ -75,6 +76,7 @@ def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, dev
     np.testing.assert_array_equal(gpu.read(2, 20, 60, 30, 90), cpu.read(2, 20, 60, 30, 90))
 
 
+@pytest.mark.stress
 def test_the_datas_own_samples_stay_and_levels_nest(coarse: orograph.Terrain, detailed: Detailed) -> None:
     whole = detailed.read(0, 0, detailed.grid.rows, 0, detailed.grid.cols)
     data = coarse.read(0, 0, 37, 0, 90)
@@ -180,7 +182,7 @@ def near(terrain: orograph.Terrain) -> View:
     )
 
 
-@pytest.mark.slow
+@pytest.mark.stress
 def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.Dem) -> None:
     view = near(coarse)
     plain = orograph.render(coarse, view, progress=False)
@@ -195,7 +197,7 @@ def test_pictures_have_it_and_say_so(coarse: orograph.Terrain, lidar: orograph.D
     np.testing.assert_array_equal(again.pixels, picture.pixels)
 
 
-@pytest.mark.slow
+@pytest.mark.stress
 def test_clipmaps_have_it(coarse: orograph.Terrain) -> None:
     """As Losasso and Hoppe draw it: rings finer than the data, on the ground that rays meet."""
     view = near(coarse)
@@ -229,7 +231,7 @@ def test_what_makes_no_sense_is_refused(coarse: orograph.Terrain, lidar: orograp
             orograph.render(coarse, view, progress=False, **options)
 
 
-@pytest.mark.slow
+@pytest.mark.stress
 @pytest.mark.parametrize("example", [False, pytest.param(True, marks=pytest.mark.stress)])
 def test_the_gpu_draws_it(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
     """As the CPU does: the same ground in nearly all pixels, within a pixel, and alike in colour."""

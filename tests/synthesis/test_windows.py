@@ -34,6 +34,7 @@ def endless(exemplar: Exemplar) -> Endless:
     return Endless(exemplar, 7)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("window", "jitter", "kappa", "passes"),
     [

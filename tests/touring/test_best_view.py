@@ -58,6 +58,7 @@ def azimuth(view: Any) -> float:
 # ---- what is seen ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.stress
 def test_a_wall_hides() -> None:
     heights = np.zeros((81, 81))
     heights[:, 50:52] = 100  # a wall east of the target, which stands at column 40

@@ -43,6 +43,7 @@ def test_an_eased_lift_is_smooth():
     assert np.abs(np.diff(soft)).max() < 4 and np.abs(np.diff(soft, 2)).max() < 0.2
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("loop", [False, True])
 def test_the_eye_stays_above_the_ground(loop):
     """Across the hills at a height that many of them exceed; what is below the eye is found by another way."""

@@ -94,6 +94,7 @@ def test_classes_are_those_of_the_nearer_time(ground):
     assert film.playing.facts[0]["between"] == "nearest"
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("style", ["arrows", "curtains"])
 def test_flows_and_sections_change_too(ground, style):
     if style == "arrows":

@@ -66,6 +66,7 @@ def test_it_is_at_its_keys_in_time(options):
         assert tour.at(-1) == tour.keys[0].view and tour.at(99) == tour.keys[-1].view
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "tour",
     [
@@ -140,6 +141,7 @@ def test_heights_stay_between_those_of_the_keys(points, loop, ease):
         assert heights.min() >= min(a[2], b[2]) - 1e-6 and heights.max() <= max(a[2], b[2]) + 1e-6
 
 
+@pytest.mark.stress
 def test_a_speed_is_kept():
     keys = tuple(Key(around(70.0 * k, 30.0, 2000.0), stop=k == 2, hold=1.5 * (k == 3)) for k in range(5))
     tour = Tour(keys, speed=150.0)

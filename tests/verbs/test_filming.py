@@ -66,6 +66,7 @@ def test_parts_make_the_video(terrain, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
 
 
+@pytest.mark.stress
 def test_workers_make_the_film(terrain, whole, tmp_path):
     pytest.importorskip("distributed")
     from orograph.store.workforce import workforce

@@ -57,6 +57,7 @@ def same(report: Report, truth: dict, broken: bool = False) -> None:
     assert set(report.places) == set(counted)
 
 
+@pytest.mark.stress
 @settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 2**32), st.sampled_from(SHAPES), st.sampled_from(meshes.TRANSFORMS),
@@ -86,6 +87,7 @@ def test_as_brute_force_says(seed, shape, transform, kind, style, missing, break
         assert report.defects == {} and report.ok(truth["largest"] * (1 + 1e-6) + truth["rounding"])
 
 
+@pytest.mark.stress
 @settings(max_examples=25, deadline=None)
 @given(
     st.integers(0, 2**32), st.sampled_from(SHAPES), st.sampled_from(meshes.TRANSFORMS),

@@ -57,6 +57,7 @@ def test_the_brute_force_itself_finds_the_nearest_point():
         assert triangle_distance(p, t) == pytest.approx(math.sqrt(found.fun), rel=1e-5)
 
 
+@pytest.mark.stress
 @settings(max_examples=40, deadline=None)
 @given(
     st.integers(0, 2**32), st.sampled_from([(5, 5), (6, 7), (4, 9), (2, 3)]), st.sampled_from(meshes.TRANSFORMS),

@@ -45,6 +45,7 @@ def test_places_within_a_polygon():
     np.testing.assert_array_equal(inside(x, y, corners), truth)
 
 
+@pytest.mark.stress
 def test_what_is_brushed_is_selected_on_the_ground_and_among_things(window, hand):
     give(window, ramp(window), posts(window))
     terrain, shown = window.session.terrain, window.session.settings.shown
@@ -75,6 +76,7 @@ def test_what_is_brushed_is_selected_on_the_ground_and_among_things(window, hand
     hand.rest()
 
 
+@pytest.mark.stress
 def test_the_veil_hides_what_is_not_selected_texel_by_texel(window):
     give(window, ramp(window))
     plot.select(window, ranges={"ramp": (0.0, 2.5)})
@@ -87,6 +89,7 @@ def test_the_veil_hides_what_is_not_selected_texel_by_texel(window):
     assert window.brush.stale(window.session.terrain, window.session.settings.shown)
 
 
+@pytest.mark.stress
 def test_dragging_over_a_histogram_selects(window, hand):
     give(window, ramp(window))
     window.gui.raised = ["Plot"]

@@ -84,6 +84,7 @@ def test_what_is_typed_at_once_into_a_field_is_no_command(window, hand):
     assert window.session.settings.wireframe != wireframe
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("typed", [0.0, -1e30, math.inf])
 def test_whatever_is_typed_the_window_goes_on(window, hand, monkeypatch, caplog, typed):
     """Every field of every panel is told a number that no slider has; those that clamp, clamp."""

@@ -5,6 +5,7 @@ Skipped where JupyterLab, playwright or a Chromium is missing: no other test nee
 
 from __future__ import annotations
 
+import importlib.util
 import io
 import json
 import os
@@ -23,11 +24,12 @@ from PIL import Image
 
 import orograph
 
-pytest.importorskip("jupyterlab")
 pytest.importorskip("anywidget")
+if importlib.util.find_spec("jupyterlab") is None:  # (importing it takes five seconds)
+    pytest.skip("JupyterLab is not installed", allow_module_level=True)
 sync_api = pytest.importorskip("playwright.sync_api")
 CHROMIUM = next((p for p in map(shutil.which, ("chromium", "chromium-browser", "google-chrome")) if p), None)
-pytestmark = [pytest.mark.slow, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
+pytestmark = [pytest.mark.stress, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium")]
 
 VIEW = ".renderview-view"
 DRAWN = f"""(() => {{
@@ -204,7 +206,6 @@ def test_a_person_explores_a_cell(page):
     page.wait_for_function(f"!document.querySelector('{VIEW}')", timeout=SOON)
 
 
-@pytest.mark.stress
 def test_a_cell_of_marimo(dem: Path, device, tmp_path: Path) -> None:
     """It shows the terrain, and a drag moves the camera."""
     pytest.importorskip("marimo")

@@ -39,6 +39,7 @@ def heading(view: View) -> float:
     return math.degrees(math.atan2(dx, dy)) % 360
 
 
+@pytest.mark.stress
 def test_exploring_with_mouse_and_keyboard(person):
     someone = person()
     home = view_of(someone.settled())
@@ -99,6 +100,7 @@ def test_exploring_with_mouse_and_keyboard(person):
     assert "Error" not in someone.log.read_text()
 
 
+@pytest.mark.stress
 def test_panels_help_views_and_pictures(person):
     someone = person()
     home = someone.settled()
@@ -142,6 +144,7 @@ def test_panels_help_views_and_pictures(person):
     assert someone.close() == 0
 
 
+@pytest.mark.stress
 def test_resizing_hiding_and_closing_at_once(person):
     someone = person()
     before = someone.settled()
@@ -180,6 +183,7 @@ def test_a_window_may_be_closed_at_any_moment(person, dem, tmp_path):
         assert not any(word in someone.log.read_text() for word in ("Traceback", "rror", "panicked"))
 
 
+@pytest.mark.stress
 def test_closing_by_key_right_after_a_click_on_a_panel(person):
     someone = person()
     someone.settled()
@@ -188,6 +192,7 @@ def test_closing_by_key_right_after_a_click_on_a_panel(person):
     assert "Error" not in someone.log.read_text()
 
 
+@pytest.mark.stress
 def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
     import orograph
 
@@ -211,6 +216,7 @@ def test_a_store_that_vanishes_is_said_and_survived(person, dem, tmp_path):
 LOOKS = "--contours auto --silhouettes --method soar --light aperture --water none --no-shadows"
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(("frames", "looks"), [("1", ""), ("100000", ""), ("1", LOOKS)])
 def test_a_screenshot_is_made_without_a_hand(screen, device, dem, tmp_path, own_config, frames, looks):
     """Also when more frames are asked for than are drawn until the picture is as good as it gets."""

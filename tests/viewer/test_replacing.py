@@ -68,6 +68,7 @@ def taken(window: Window, hand: Hand, before: Any) -> None:
     assert hand.frames(2)[:, : int(window.area[2])].std() > 10
 
 
+@pytest.mark.stress
 def test_the_window_goes_on_with_the_new_store(looked_at):
     """Nothing is touched meanwhile; camera, settings, kept views, tour and what is measured stay."""
     path, window, hand = looked_at
@@ -99,6 +100,7 @@ def test_the_window_goes_on_with_the_new_store(looked_at):
     assert session.terrain.height_range[0] == pytest.approx(500.0)
 
 
+@pytest.mark.stress
 def test_the_new_store_may_lie_elsewhere(looked_at):
     path, window, hand = looked_at
     session = window.session
@@ -119,6 +121,7 @@ def test_the_new_store_may_lie_elsewhere(looked_at):
     assert 0 <= session.probe.hit.height <= 506
 
 
+@pytest.mark.stress
 def test_the_same_place_in_another_crs(looked_at):
     path, window, hand = looked_at
     session = window.session
@@ -133,6 +136,7 @@ def test_the_same_place_in_another_crs(looked_at):
     assert session.view != session.nav.home
 
 
+@pytest.mark.stress
 def test_what_cannot_be_opened_is_said_and_the_last_picture_stays(looked_at):
     path, window, hand = looked_at
     session = window.session
@@ -155,6 +159,7 @@ def test_what_cannot_be_opened_is_said_and_the_last_picture_stays(looked_at):
     assert session.terrain.height_range[0] == pytest.approx(540.0)
 
 
+@pytest.mark.stress
 def test_a_store_at_a_url(device, monkeypatch):
     """There a read that fails tells."""
     monkeypatch.setattr(replacing, "EVERY", 0.05)

@@ -145,6 +145,7 @@ def test_data_are_painted_once_and_stand():
     assert standing.scene(terrain, view) == standing.scene(terrain, view)  # nothing is drawn anew
 
 
+@pytest.mark.stress
 def test_priorities_are_switched_and_leave_nothing_behind():
     terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
     values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
@@ -169,6 +170,7 @@ def test_priorities_are_switched_and_leave_nothing_behind():
     assert settings.light == "ao"
 
 
+@pytest.mark.stress
 def test_times_of_a_series_share_a_scale_and_say_their_values():
     xr = pytest.importorskip("xarray")
     terrain = orograph.terrain(
@@ -289,6 +291,7 @@ def test_what_is_set_while_data_are_painted_stays(stepwise):
     gate.release()
 
 
+@pytest.mark.stress
 def test_what_is_superseded_is_not_shown(stepwise):
     terrain, settings, gate = stepwise
     before = settings.shown.painted

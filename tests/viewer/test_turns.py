@@ -46,6 +46,7 @@ def test_no_member_is_seen_for_less_than_its_time(frames: list[float], rate: flo
             since, seen = 0.0, turns.member
 
 
+@pytest.mark.stress
 def test_each_member_is_itself_on_one_scale(ground: orograph.Terrain) -> None:
     """With ``style=members`` they take turns from the beginning; else when asked."""
     session = Session(ground, size=(90, 60), data=ensemble(uncertainty=Uncertainty("spread", style="members", rate=3)))

@@ -27,6 +27,7 @@ from orograph.viewer.window import Window
 PLAIN = 500.0
 
 
+@pytest.mark.stress
 def test_it_draws_and_then_rests(window, hand):
     hand.rest()
     picture = hand.frames(2)
@@ -87,6 +88,7 @@ def test_hovering_reads_the_height(window, hand):
     assert (hit.easting, hit.northing) == pytest.approx(tuple(ground_pixel(window, 300, 430)[:2]), abs=0.01)
 
 
+@pytest.mark.stress
 def test_views_in_the_clipboard(window, hand):
     hand.key("o")
     hand.rest()
@@ -106,6 +108,7 @@ def test_views_in_the_clipboard(window, hand):
     assert 100_000 < window.session.view.eye[0] < 900_000
 
 
+@pytest.mark.stress
 def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
     hand.rest()
     before = hand.frames(1)
@@ -128,6 +131,7 @@ def test_what_fails_is_said_and_survived(window, hand, monkeypatch):
     assert not [m for m in window.session.messages.shown if m.error]
 
 
+@pytest.mark.stress
 def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
     hand.rest()
     first, renderer = window.device, window.drawing.renderer
@@ -145,6 +149,7 @@ def test_a_lost_device_is_opened_anew(window, hand, monkeypatch):
     first.lost = None
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("when", ["drawing", "at rest", "twice"])
 def test_a_device_that_is_really_lost_is_opened_anew(dem, monkeypatch, when):
     from orograph.gpu import device as devices
@@ -177,6 +182,7 @@ def test_a_device_that_is_really_lost_is_opened_anew(dem, monkeypatch, when):
     window.gui.close()
 
 
+@pytest.mark.stress
 def test_panels_go_on_while_the_renderer_is_made_on_a_new_device(dem, monkeypatch):
     from orograph.gpu import device as devices
 
@@ -214,6 +220,7 @@ def test_panels_go_on_while_the_renderer_is_made_on_a_new_device(dem, monkeypatc
     window.gui.close()
 
 
+@pytest.mark.stress
 def test_no_new_device_is_told_and_tried_again(dem, monkeypatch):
     from orograph.gpu import device as devices
     from orograph.viewer import drawing, reopening
@@ -276,6 +283,7 @@ def test_the_help_fits_a_small_window(window, hand):
     assert shown.scroll_max.y > 0  # the rest is scrolled to
 
 
+@pytest.mark.stress
 def test_panels_that_are_hidden_from_the_first_leave_the_picture_alone_and_dock_when_they_come(
     device, dem, own_config, monkeypatch
 ):
@@ -310,6 +318,7 @@ def test_every_key_does_something_and_is_in_the_help(window, hand):
     assert not [m.text for m in window.session.messages.shown if m.error]
 
 
+@pytest.mark.stress
 def test_a_key_that_waits_for_a_frame_may_close_the_window(window, hand, monkeypatch, capsys):
     """Keys that follow a press on a panel are decided some frames later, the last of which has nothing to draw on."""
     hand.rest()
@@ -328,6 +337,7 @@ def test_a_key_that_waits_for_a_frame_may_close_the_window(window, hand, monkeyp
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.stress
 def test_keys_that_are_held_fly(window, hand):
     before = window.session.view
     hand.event("key_down", key="w")

@@ -45,6 +45,7 @@ def bar(window):
     return Dataset(points, variable="load", style="bars", size=600.0, range=(0, 7)), (float(at[0]), float(at[1]))
 
 
+@pytest.mark.stress
 def test_what_stands_is_seen_and_told(window, hand):
     hand.rest()
     bare = hand.frames(1).astype(int)
@@ -67,6 +68,7 @@ def test_what_stands_is_seen_and_told(window, hand):
     np.testing.assert_array_equal(again.which, window.drawing.stood.which)
 
 
+@pytest.mark.stress
 def test_colour_bars_of_data_stand_over_that_of_heights(window, hand, monkeypatch):
     drawn = []
     monkeypatch.setattr(overlay, "_bar", lambda *about: drawn.append((about[2], about[-1])))
@@ -85,6 +87,7 @@ def test_colour_bars_of_data_stand_over_that_of_heights(window, hand, monkeypatc
     assert [title for _, title in drawn] == ["load (t)"]
 
 
+@pytest.mark.stress
 def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     rows, cols = window.session.terrain.grid.shape
     members = np.random.default_rng(0).normal(np.linspace(0, 9, cols), 0.5, (6, rows, cols)).astype(np.float32)
@@ -127,6 +130,7 @@ def series(window):
     return Dataset(xr.DataArray(cube, coords={"time": when, "y": y, "x": x}, dims=("time", "y", "x"), attrs=about))
 
 
+@pytest.mark.stress
 def test_time_goes_step_by_step_between_and_by_itself(window, hand):
     settings = window.session.settings
     settings.shown = ShownData((series(window),), Priority.parse("T+D+U-"), window.session.terrain.grid)
@@ -158,6 +162,7 @@ def test_time_goes_step_by_step_between_and_by_itself(window, hand):
     hand.rest()
 
 
+@pytest.mark.stress
 def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     import sys
     import types
@@ -200,6 +205,7 @@ def test_data_are_traits_of_a_cell(device, dem, monkeypatch):
     bare.window.gui.close()
 
 
+@pytest.mark.stress
 def test_how_probably_values_are_above_one(window):
     rows, cols = window.session.terrain.grid.shape
     members = np.arange(4.0)[:, None, None] + np.linspace(0, 9, cols) + np.zeros((1, rows, 1))

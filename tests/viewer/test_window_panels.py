@@ -26,6 +26,7 @@ from orograph.viewer.panels import detail, layers, statistics
 PLAIN = 500.0
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("pause", [0, 1, 3])
 def test_a_quick_click_on_a_tab_is_not_lost(window, hand, monkeypatch, pause):
     shown: list[str] = []
@@ -79,6 +80,7 @@ def test_measuring(window, hand):
     assert not window.session.messages.shown
 
 
+@pytest.mark.stress
 def test_a_viewshed_is_painted_and_goes_again(window, hand):
     tools = window.tools
     hand.key("m")
@@ -155,6 +157,7 @@ def test_every_panel_draws_in_every_state(window, hand):
         assert name and callable(content)
 
 
+@pytest.mark.stress
 def test_the_mesh_can_be_frozen_and_a_budget_is_kept(window, hand):
     settings = window.session.settings
     hand.key("f")
@@ -168,6 +171,7 @@ def test_the_mesh_can_be_frozen_and_a_budget_is_kept(window, hand):
     hand.until(lambda: 0.5 < window.drawing.stats.triangles / 20_000 <= 1.06, 60)
 
 
+@pytest.mark.stress
 def test_the_plan_is_drawn_and_takes_one_there(window, hand):
     plan = window.plan
     hand.until(lambda: plan.view is not None and not plan.busy, 120)
@@ -188,6 +192,7 @@ def test_the_plan_is_drawn_and_takes_one_there(window, hand):
     assert plan.mode == "none"
 
 
+@pytest.mark.stress
 def test_pictures(window, hand, tmp_path, monkeypatch):
     from PIL import Image
 
@@ -217,6 +222,7 @@ USUAL = ("quadtin", "roam", "smart")
 """Methods of three kinds, which are tried every time; the others take a quarter of a minute each."""
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "method", [pytest.param(name, marks=() if name in USUAL else pytest.mark.stress) for name in names("triangles")]
 )
@@ -296,6 +302,7 @@ def test_normals_are_chosen(window, hand):
     hand.until(lambda: np.abs(hand.frames(1)[:, :560] - smooth).max() > 10)  # facets
 
 
+@pytest.mark.stress
 def test_a_tour_is_made_played_and_drawn_in_the_plan(window, hand, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     touring = window.touring

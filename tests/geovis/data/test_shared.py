@@ -38,6 +38,7 @@ def image(layer):
         return file.read()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("within", ["T-D-U-", "T-D+U-"])
 def test_a_focus_reads_and_samples_its_data_once(monkeypatch, within):
     ground = terrain(np.random.default_rng(1).normal(100, 5, (33, 40)).astype(np.float32))

@@ -110,6 +110,7 @@ def field_and_points(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.n
     return field, points, rng.normal(size=(n, 2)) * 0.5
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("exact", [False, True])
 def test_several_lights_through_random_caps(exact: bool):
     rng = np.random.default_rng(2)

@@ -71,6 +71,7 @@ def test_queues_meet_within_a_budget():
                 assert len(found) > budget - 4 * n or not s > 0
 
 
+@pytest.mark.stress
 def test_wedgies_are_the_store_s():
     """The store closes them over the diamonds besides: a diamond's is no less than its children's."""
     t = plain.unrounded(plain.terrain(plain.rough(np.random.default_rng(1), (33, 33))))

@@ -73,6 +73,7 @@ def change(frames: list[NDArray[np.float64]]) -> float:
     return float(np.sqrt((np.diff(np.stack(frames), axis=0) ** 2).mean()))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("projection", ["perspective", "plan"])
 def test_a_slow_flight_changes_no_more_than_a_fine_one(camera: Camera, projection: str) -> None:
     if projection == "plan":
@@ -93,6 +94,7 @@ def test_a_slow_flight_changes_no_more_than_a_fine_one(camera: Camera, projectio
     assert np.abs(drawn[-1] - last[1]).mean() < np.abs(last[0] - last[1]).mean()
 
 
+@pytest.mark.stress
 def test_the_horizon_does_not_follow_every_sample(camera: Camera) -> None:
     """Hills a pixel high, one behind another, seen at a grazing angle: the samples of a frame tell little of the mean,
     and nor do those of the pixels around it."""

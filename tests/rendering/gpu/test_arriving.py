@@ -77,6 +77,7 @@ def flicker(frames: list[Floats], mask: NDArray[np.bool_]) -> float:
     return float(np.sqrt((np.diff(np.stack(frames), axis=0)[:, mask] ** 2).mean()))
 
 
+@pytest.mark.stress
 def test_what_is_away_from_new_tiles_does_not_flicker(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     scenes = [flight.moved(k) for k in range(LEAD + FRAMES)]
     flight.draw(scenes[-1], wait=True, samples=1)  # everything is there, and compiled
@@ -107,6 +108,7 @@ def test_what_is_away_from_new_tiles_does_not_flicker(flight: Flight, monkeypatc
     assert flicker(streaming, away) <= 1.02 * flicker(settled, away)
 
 
+@pytest.mark.stress
 def test_tiles_that_come_leave_nothing_of_what_was_there(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     """One tile a frame: after the last one the picture is as good as one that was begun then, with all of them."""
     monkeypatch.setattr(residency, "UPLOAD", 1)

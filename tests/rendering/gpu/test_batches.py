@@ -89,6 +89,7 @@ def test_a_full_pool_begins_anew_and_what_does_not_fit_is_coarser(device: Device
     assert less.triangles < first.triangles / 2 and less.stats["tolerance"] > 0.5
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("how", [{}, {"wireframe": True}, {"contours": Contours(50.0)}, {"normals": "faces"}])
 @pytest.mark.parametrize("text", ["bdam,legs=8", "bdam,legs=8,geomorph=yes"])
 def test_pictures_are_those_of_the_same_triangles(

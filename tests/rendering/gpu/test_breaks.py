@@ -39,6 +39,7 @@ def drawn(renderer: Renderer, scene: Scene) -> Any:
     return draw(scene, device=renderer.device, renderer=renderer)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("light", ["shaded", "shadows"])
 def test_breaks_are_as_smooth_as_by_brute_force_and_the_rest_has_one_ray(device: Device, light: str) -> None:
     t = ridges()

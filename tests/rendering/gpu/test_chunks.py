@@ -31,6 +31,7 @@ SHAPES = [(65, 65), (100, 77), (33, 140), (3, 3), (2, 3)]
 CODED = "chunked-lod,cells=16,compressed=yes"
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("how", ["usual", "portable"])
 def test_meshes_are_those_of_the_description_to_the_bit(device: Device, how: str) -> None:
     own = open_device(portable=True) if how == "portable" else device
@@ -56,6 +57,7 @@ def test_meshes_are_those_of_the_description_to_the_bit(device: Device, how: str
             np.testing.assert_array_equal(got_t.reshape(-1, 3), corners)
 
 
+@pytest.mark.stress
 def test_large_chunks_are_decoded_whole(device: Device) -> None:
     """A chunk of 60,000 triangles."""
     chunks = MemoryChunks(plain.terrain(plain.rough(np.random.default_rng(1), (257, 257))), Kind(128, 0.01, True))

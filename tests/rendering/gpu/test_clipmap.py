@@ -57,6 +57,7 @@ def as_triangles(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ground, "ready_of", lambda shape, most: ready)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     ("text", "how", "place"),
     [
@@ -93,6 +94,7 @@ def test_cells_need_not_be_square_nor_samples_many(device: Device, monkeypatch: 
         np.testing.assert_allclose(ours.depth, theirs.depth, rtol=5e-6)
 
 
+@pytest.mark.stress
 def test_only_new_heights_are_brought_and_the_rest_stays_in_its_place(device: Device) -> None:
     t = hills()
     moving = Renderer(device, t)
@@ -156,6 +158,7 @@ def plane(tmp_path: Path) -> tuple[Any, Layer]:
     return t, Layer(str(path))
 
 
+@pytest.mark.stress
 def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_path: Path) -> None:
     """On a plane rings change nothing but where triangles end: the colours may not show where that is."""
     t, layer = plane(tmp_path)
@@ -171,6 +174,7 @@ def test_a_layer_over_rings_blends_as_it_does_without_them(device: Device, tmp_p
     assert rings.pixels[there].std(axis=0).max() > 10 and (off > 2).mean() < 2e-3
 
 
+@pytest.mark.stress
 def test_colours_come_as_the_eye_moves_and_none_comes_twice(
     device: Device, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -76,6 +76,7 @@ class Screen:
         return lab(self.device.read_texture(self.texture, np.uint8, 4)[..., :3])
 
 
+@pytest.mark.stress
 def test_both_backends_draw_the_same(device: Device, scene: Scene) -> None:
     ours = gpu_draw(scene, device=device)
     kept = next(Path(coarse.cache_folder() / "images").iterdir())
@@ -88,6 +89,7 @@ def test_both_backends_draw_the_same(device: Device, scene: Scene) -> None:
     assert np.linalg.norm(lab(ours.pixels) - lab(bare.pixels), axis=-1)[both].mean() > 10
 
 
+@pytest.mark.stress
 def test_frames_go_on_and_fill_in_while_levels_are_made(
     device: Device, scene: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:

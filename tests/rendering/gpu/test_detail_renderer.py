@@ -28,6 +28,7 @@ def hills() -> orograph.Terrain:
     return orograph.terrain(orograph.Dem(heights, grid, None, "hills"), progress=False)
 
 
+@pytest.mark.stress
 def test_frames_come_to_have_detail(hills: orograph.Terrain, device) -> None:
     x, y = (float(v) for v in hills.grid.xy(20, 40))
     view = View((x, y, 480.0), (x + 300, y + 400, 250.0), width=80, height=60)

@@ -111,6 +111,7 @@ def test_two_layers_in_foreign_crs_are_the_cpus(device: Device, ground: Terrain,
     assert np.percentile(off, 95) < 3.0
 
 
+@pytest.mark.stress
 def test_positions_are_good_to_a_tenth_of_a_texel(device: Device, ground: Terrain, tmp_path: Path) -> None:
     """An image of 30,000 pixels a side in degrees whose colour tells the column (8 levels a pixel), from so near that a
     pixel of it is many of the picture's. Beside what pyproj says of the ground under every pixel of the picture,
@@ -238,6 +239,7 @@ def scene_of(ground: Terrain, *layers: Layer, distance: float = 1500.0) -> Scene
     return Scene.of(ground, view, layers=layers, light="none", water=None, tolerance=1.0, depths=(1.0, 1e5))
 
 
+@pytest.mark.stress
 def test_a_coarser_tile_stands_in_and_there_is_never_a_hole(
     frames: Frames, ground: Terrain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -351,6 +353,7 @@ def test_memory_is_fixed_whatever_is_wanted(device: Device, ground: Terrain, tmp
         frames.renderer.close()
 
 
+@pytest.mark.stress
 def test_near_by_a_huge_image_both_backends_show_its_pixels(device: Device, ground: Terrain, tmp_path: Path) -> None:
     """20,000 pixels a side, of which a part has colours: no memory holds it, and a view from near by shows each."""
     side, at, span = 20_000, 9_000, 1536

@@ -35,6 +35,7 @@ def land():
     return terrain(heights)
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(
     "options",
     [

@@ -52,6 +52,7 @@ def scenes(terrain: Terrain) -> dict[str, Scene]:
     } | {"beyond samples": Scene.of(terrain, near, samples=4, tolerance=0.5, contours=Contours(1.0))}
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("name", ["slanted", "plan", "beyond samples"])
 def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: Terrain, name: str) -> None:
     scene = scenes(terrain)[name]
@@ -79,6 +80,7 @@ def test_both_backends_draw_the_same_coast(device: Device) -> None:
     assert apart.mean() < 0.5 and (apart > 8).mean() < 1e-3, (apart.mean(), (apart > 8).mean())
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("method", ["auto", "soar"])
 def test_both_backends_draw_the_same_silhouettes(device: Device, terrain: Terrain, method: str) -> None:
     """On a mesh, too, whose creases are those of the terrain."""
@@ -139,6 +141,7 @@ def test_frames_do_not_wait_for_labels(device: Device, terrain: Terrain) -> None
         renderer.close()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("wireframe", [False, True])
 def test_both_backends_draw_the_terrains_lines_over_a_coarse_mesh(
     device: Device, terrain: Terrain, wireframe: bool

@@ -49,6 +49,7 @@ def views() -> dict[str, View]:
     }
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "method",
     [
@@ -97,6 +98,7 @@ def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Dev
         draw_gpu(scene.but(method="raycast", tolerance=None, triangles=1000), device=device)
 
 
+@pytest.mark.stress
 def test_a_mesh_for_another_camera_and_its_edges(device: Device, terrain: Terrain) -> None:
     """Refined for the near view, seen from afar: coarse where that did not look, edges drawn."""
     scene = Scene.of(terrain, views()["slanted"], method="soar", tolerance=2.0, mesh_view=views()["near"], samples=1)

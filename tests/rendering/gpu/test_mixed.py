@@ -113,6 +113,7 @@ def hold(device: Device, terrain: Terrain, count: int, seed: int = 1) -> None:
     assert left_out > 0 and ground > 0
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("name", [name for name in GROUNDS if name != "few samples"])
 def test_blocks_are_those_of_either(device: Device, name: str) -> None:
     """No pixel is lost where they meet, and no patch is left out that shows: whatever is drawn, one way drew it."""
@@ -294,6 +295,7 @@ def test_steps_of_rays_are_counted_where_they_are_taken(device: Device) -> None:
 # ---- frames and pictures -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.stress
 def test_frames_measure_what_they_take_and_show_no_hole(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     """Flights that wait for nothing: patches at first, then both; no pixel within the terrain is left out."""
     monkeypatch.setattr(mixer, "_COSTS", {})

@@ -92,6 +92,7 @@ def beside_edges(seen: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return np.asarray(binary_dilation(seen, around) & binary_dilation(~seen, around))
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("name", sorted(SETS))
 @pytest.mark.parametrize("kind", ["whole", "near", "plan"])
 def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, kind: str) -> None:
@@ -121,6 +122,7 @@ def test_imagery_lies_where_the_cpu_lays_it(device: Device, shared_data: Path) -
     assert np.linalg.norm(difference, axis=-1).mean() < 1.5
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("light", ["none", "ao", "aperture", "lamps", "raytraced", "lamps by rays", "unhidden"])
 def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str) -> None:
     terrain = open_set(shared_data, "bigtujunga")
@@ -141,6 +143,7 @@ def test_light_falls_as_on_the_cpu(device: Device, shared_data: Path, light: str
     assert np.percentile(difference, 95) < 3.0
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("name", ["bigtujunga", "city"])
 def test_edges_of_long_shadows_lie_where_the_cpus_do(device: Device, shared_data: Path, name: str) -> None:
     """The sun low, the ground seen from the side: hardly more pixels differ visibly than where rays find all light.
@@ -160,6 +163,7 @@ def test_edges_of_long_shadows_lie_where_the_cpus_do(device: Device, shared_data
     assert differing("ao") <= 1.1 * differing("raytraced")
 
 
+@pytest.mark.stress
 def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "rainier")
     scene = Scene.of(terrain, plan(terrain, SIZE), samples=1)
@@ -177,6 +181,7 @@ def test_missing_ground_is_hatched_and_has_no_depth(device: Device, shared_data:
     assert not np.isfinite(ours.depth[ours.void_filled]).any()
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("kind", ["whole", "near", "plan"])
 @pytest.mark.parametrize("name", ["rainier", "fuji"])
 def test_voids_look_as_on_the_cpu(device: Device, shared_data: Path, name: str, kind: str) -> None:
@@ -195,6 +200,7 @@ def test_voids_look_as_on_the_cpu(device: Device, shared_data: Path, name: str, 
     assert difference[voids].mean() < 1.0
 
 
+@pytest.mark.stress
 def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> None:
     """Heights in the millions of metres are ground, and holes among them are holes."""
     low = open_set(shared_data, "rainier")

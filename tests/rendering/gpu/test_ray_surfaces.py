@@ -47,6 +47,7 @@ def judge(device: Device, terrain: Terrain, surface: str, count: int, seed: int)
     assert other > 1000
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("surface", OTHERS)
 @pytest.mark.parametrize("name", ["holes", "oblong cells, rows northwards", "nested windows"])
 def test_the_promise_is_kept(device: Device, name: str, surface: str) -> None:

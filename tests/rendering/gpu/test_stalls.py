@@ -95,6 +95,7 @@ def loop(device: Device, web: Web) -> Iterator[Loop]:
     made.renderer.close()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("mood", ["mute", "busy", "short", "cut"])
 def test_a_store_that_fails_never_holds_a_frame_up_and_recovers(loop: Loop, web: Web, mood: str) -> None:
     loop.whole()
@@ -121,6 +122,7 @@ def test_a_store_that_fails_never_holds_a_frame_up_and_recovers(loop: Loop, web:
     again.renderer.close()
 
 
+@pytest.mark.stress
 def test_a_slow_store_fills_in_while_frames_go_on(device: Device, web: Web, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(storage, "SILENCE", 10.0)
     loop = Loop(device, store.open(f"{web.url}/area.oro", cache_bytes=0))

@@ -39,6 +39,7 @@ def _view(terrain):
     return around(terrain, SIZE, azimuth=200, pitch=18, distance=0.2 * reach)
 
 
+@pytest.mark.stress
 def test_the_gpu_draws_the_same_picture(device: Device, both) -> None:
     view = _view(both[0])
     ours, theirs = (draw(Scene.of(t, view, sky=True, tolerance=1.0), device=device) for t in both)

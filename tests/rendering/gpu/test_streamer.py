@@ -64,6 +64,7 @@ def test_a_store_that_is_out_of_order_is_asked_for_a_few_tiles_and_comes_back(
         streamer.close()
 
 
+@pytest.mark.stress
 def test_many_damaged_tiles_do_not_keep_others_from_being_read(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Streamer, "RETRY", 0.2)
     keys = list(range(120))

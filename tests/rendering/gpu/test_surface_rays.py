@@ -374,6 +374,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", SCENES)
 def test_pictures_are_the_cpus(device: Device, name: str) -> None:
     terrain = GROUNDS["holes"]()
@@ -390,6 +391,7 @@ def test_pictures_are_the_cpus(device: Device, name: str) -> None:
         assert gpu.pixels.std() > 10
 
 
+@pytest.mark.stress
 def test_a_plan_has_the_heights_of_its_pixels(device: Device) -> None:
     """From straight above no height moves anything, but it has a colour, and lines."""
     terrain = GROUNDS["nested windows"]()
@@ -426,6 +428,7 @@ def test_tiles_of_a_picture_are_the_picture(device: Device) -> None:
     np.testing.assert_allclose(part.depth, there, rtol=1e-5)
 
 
+@pytest.mark.stress
 def test_frames_do_not_wait_for_windows(device: Device) -> None:
     """Patches stand in at first, then windows that were there before, until those of the view are."""
     terrain = GROUNDS["nested windows"]()
@@ -463,6 +466,7 @@ def test_frames_do_not_wait_for_windows(device: Device) -> None:
         renderer.close()
 
 
+@pytest.mark.stress
 def test_tiles_of_heights_are_read_only_where_something_is_drawn_out_of_them(device: Device) -> None:
     """Rays meet windows; lines are looked up in tiles. A view that stays has the same patches, until a tile comes."""
     terrain = GROUNDS["nested windows"]()
