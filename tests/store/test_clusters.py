@@ -14,7 +14,9 @@ from surfaces import rough, source
 from test_in_parts import files
 
 from orograph import store
-from orograph.errors import ReadError, StoreError, UsageError
+from orograph.errors import DamagedChunkError, ReadError, StoreError, UsageError
+from orograph.lighting.bake import bake
+from orograph.lighting.context import Options
 from orograph.store import clusters, workforce
 from orograph.store.stored import StoredTerrain
 
@@ -135,6 +137,19 @@ def test_a_damaged_file_is_an_error_of_that_file(tmp_path, client):
     assert str(caught.value) == str(alone.value)
     assert not any("Compute Failed" in line for log in client.get_worker_logs().values() for _, line in log)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif"]
+
+
+def test_a_damaged_chunk_is_an_error_of_that_chunk(tmp_path, client):
+    store.build(written(tmp_path / "a.tif"), tmp_path / "s", errors=(), **SIZES).close()
+    chunk = tmp_path / "s" / "heights/0/height/c/2/1"
+    data = bytearray(chunk.read_bytes())
+    data[len(data) // 3] ^= 255
+    chunk.write_bytes(data)
+    with pytest.raises(DamagedChunkError) as alone:
+        bake(tmp_path / "s", "openness", Options(azimuths=4), jobs=1)
+    with pytest.raises(DamagedChunkError) as caught:
+        bake(tmp_path / "s", "openness", Options(azimuths=4), dask=client)
+    assert str(caught.value) == f"{alone.value} What was done is kept: run the same again to go on."
 
 
 def test_several_damaged_blocks_are_listed(tmp_path, client):

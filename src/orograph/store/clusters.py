@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
-from orograph.errors import OrographError, ReadError, StoreError, UsageError
+from orograph.errors import DamagedChunkError, OrographError, ReadError, StoreError, UsageError
 from orograph.progress import Progress, Task
 from orograph.store.digests import Spot
 from orograph.store.executing import Stage
@@ -327,11 +327,12 @@ class _Round:
         """Return the error that lists the tasks given up, and why: if all have one cause in the input, that."""
         again = self.stage.again if self.any_done else ""
         causes = {str(why): why for why in self.given_up.values()}
-        bad_input = all(isinstance(why, ReadError) for why in causes.values())
-        if bad_input and len(causes) == 1:
+        if len(causes) == 1:
             (cause,) = causes.values()
-            assert isinstance(cause, ReadError)
-            return type(cause)(cause.what, path=cause.path, remedy=f"{cause.remedy} {again}".strip())
+            if isinstance(cause, ReadError | DamagedChunkError):
+                cause.remedy = f"{cause.remedy} {again}".strip()
+                return cause
+        bad_input = all(isinstance(why, ReadError) for why in causes.values())
         left = len(self.stage.tasks()) - sum(1 for _ in self.begun)
         reasons = [
             f"{self.stage.key(spot).removesuffix('.part')}: {_said(why).rstrip('.')}"
