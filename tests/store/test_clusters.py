@@ -139,6 +139,7 @@ def test_a_damaged_file_is_an_error_of_that_file(tmp_path, client):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.tif"]
 
 
+@pytest.mark.stress
 def test_a_damaged_chunk_is_an_error_of_that_chunk(tmp_path, client):
     store.build(written(tmp_path / "a.tif"), tmp_path / "s", errors=(), **SIZES).close()
     chunk = tmp_path / "s" / "heights/0/height/c/2/1"
