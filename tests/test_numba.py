@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -228,3 +229,44 @@ def test_no_two_processes_give_their_functions_the_same_names(tmp_path: Path, pr
         code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); sys.argv.append({process!r}); import kernels"
         names += run(code, tmp_path / str(k)).split()
     assert len(names) == len(set(names)) == 2
+
+
+KEPT = """
+import pathlib, sys, time
+from orograph._kernel_cache import _Files
+
+folder, who, other = sys.argv[1:]
+files = _Files(folder, "kernels.f-1.py311", "a stamp")
+pathlib.Path(folder, who).touch()
+while not pathlib.Path(folder, other).exists():
+    time.sleep(0.001)
+for k in range(100):
+    files.save((who, k), (who, k))
+"""
+
+
+def test_processes_that_keep_kernels_at_once_keep_all(tmp_path: Path) -> None:
+    """Each by its own name, though Numba counts files, and nothing that no index names."""
+    from orograph._kernel_cache import _Files
+
+    writers = [subprocess.Popen([sys.executable, "-c", KEPT, tmp_path, *both]) for both in ("ab", "ba")]
+    assert [writer.wait() for writer in writers] == [0, 0]
+    files = _Files(str(tmp_path), "kernels.f-1.py311", "a stamp")
+    for key in [(who, k) for who in "ab" for k in range(100)]:
+        assert files.load(key) == key
+    assert len(list(tmp_path.glob("*.nbc"))) == 200
+    _Files(str(tmp_path), "kernels.f-1.py311", "the next stamp").save("a", 1)
+    assert len(list(tmp_path.glob("*.nbc"))) == 1
+
+
+def test_a_kernel_is_compiled_by_one_process_at_a_time(tmp_path: Path) -> None:
+    """The next one finds it in the cache."""
+    code = """
+    from orograph._compiler import compile_kernel
+    from orograph.store.levels import box_sums
+    compile_kernel("orograph.store.levels", "box_sums", "(float32[2, C], float64[2, C], uint32[2, C])")
+    print(sum(box_sums.stats.cache_hits.values()))
+    """
+    with ThreadPoolExecutor() as pool:
+        printed = pool.map(lambda _: run(code, tmp_path, OROGRAPH_COMPILE_AHEAD="0"), range(2))
+        assert sorted(printed) == ["0\n", "1\n"]

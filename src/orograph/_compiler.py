@@ -30,7 +30,11 @@ LARGEST = 320 << 20
 def compile_kernel(module: str, name: str, types: str | tuple[object, ...]) -> None:
     """Compile a kernel for arguments of these types (or their names), and keep it."""
     found = getattr(importlib.import_module(module), name.removesuffix(".alone"))
-    getattr(found, "alone", found).compile(types_of(types) if isinstance(types, str) else types)
+    found = getattr(found, "alone", found)
+    from orograph._kernel_cache import compiling_alone
+
+    with compiling_alone(found):
+        found.compile(types_of(types) if isinstance(types, str) else types)
 
 
 def hasten() -> None:

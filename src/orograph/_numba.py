@@ -9,10 +9,8 @@ compiling takes hundreds of MiB, which the work's process would keep.
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
-import pickle
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
@@ -22,6 +20,7 @@ import numba.extending
 from numba.core.bytecode import FunctionIdentity
 from numpy.typing import NDArray
 
+from orograph._kernel_cache import keep_safely
 from orograph._linked import Linked
 from orograph.compiling import COMPILING, compiled_elsewhere
 
@@ -82,7 +81,7 @@ def leaf(function: Function) -> Function:
     made: Any = _linked(function, _BARE)
     if made is not function:
         made.enable_caching()
-        _keep_safely(made._cache)
+        keep_safely(made._cache)
     return cast(Function, made)
 
 
@@ -97,7 +96,7 @@ def _called(function: Function, options: dict[str, Any]) -> Function:
     options = options | {"cache": True, "no_cfunc_wrapper": True}
     dispatcher: Any = numba.njit(**options)(function)
     if hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT leaves the function as it is
-        _keep_safely(dispatcher._cache)
+        keep_safely(dispatcher._cache)
         _compile_elsewhere(dispatcher)
     return cast(Function, dispatcher)
 
@@ -116,33 +115,6 @@ def _compile_elsewhere(dispatcher: Any) -> None:
         return compile_here(types, returned)
 
     dispatcher._compiler.compile = compile
-
-
-def _keep_safely(cache: Any) -> None:
-    """Let a cache begin anew where its index cannot be read, and lie on a disk that is full.
-
-    Numba reads the whole index before it notices that the source has changed. An index that names a class that no
-    longer exists (an argument's type in an older version) would make every call fail.
-    """
-    file = cache._cache_file
-    load = file._load_index
-
-    def load_index() -> Any:
-        try:
-            return load()
-        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
-            return {}
-
-    file._load_index = load_index
-    save = cache.save_overload
-
-    def save_overload(signature: object, made: Any) -> None:
-        if made.metadata is None:  # another process has kept it
-            return
-        with contextlib.suppress(OSError):  # what cannot be kept is compiled again next time
-            save(signature, made)
-
-    cache.save_overload = save_overload
 
 
 def paired(function: Function) -> Function:
