@@ -233,10 +233,10 @@ def test_no_two_processes_give_their_functions_the_same_names(tmp_path: Path, pr
 
 KEPT = """
 import pathlib, sys, time
-from orograph._kernel_cache import _Files
+from orograph._kernel_cache import _Files, keep_safely
 
 folder, who, other = sys.argv[1:]
-files = _Files(folder, "kernels.f-1.py311", "a stamp")
+files = _Files(keep_safely, folder, "kernels.f-1.py311", "a stamp")
 pathlib.Path(folder, who).touch()
 while not pathlib.Path(folder, other).exists():
     time.sleep(0.001)
@@ -247,15 +247,15 @@ for k in range(100):
 
 def test_processes_that_keep_kernels_at_once_keep_all(tmp_path: Path) -> None:
     """Each by its own name, though Numba counts files, and nothing that no index names."""
-    from orograph._kernel_cache import _Files
+    from orograph._kernel_cache import _Files, keep_safely
 
     writers = [subprocess.Popen([sys.executable, "-c", KEPT, tmp_path, *both]) for both in ("ab", "ba")]
     assert [writer.wait() for writer in writers] == [0, 0]
-    files = _Files(str(tmp_path), "kernels.f-1.py311", "a stamp")
+    files = _Files(keep_safely, str(tmp_path), "kernels.f-1.py311", "a stamp")
     for key in [(who, k) for who in "ab" for k in range(100)]:
         assert files.load(key) == key
     assert len(list(tmp_path.glob("*.nbc"))) == 200
-    _Files(str(tmp_path), "kernels.f-1.py311", "the next stamp").save("a", 1)
+    _Files(keep_safely, str(tmp_path), "kernels.f-1.py311", "the next stamp").save("a", 1)
     assert len(list(tmp_path.glob("*.nbc"))) == 1
 
 
@@ -270,3 +270,45 @@ def test_a_kernel_is_compiled_by_one_process_at_a_time(tmp_path: Path) -> None:
     with ThreadPoolExecutor() as pool:
         printed = pool.map(lambda _: run(code, tmp_path, OROGRAPH_COMPILE_AHEAD="0"), range(2))
         assert sorted(printed) == ["0\n", "1\n"]
+
+
+PARTS = {
+    "kernels": """
+from orograph._numba import kernel
+from parts import numbers
+from parts.helpers import scaled
+
+@kernel
+def f(x):
+    return scaled(x) + numbers.MORE
+
+print(f(1.0), sum(f.stats.cache_hits.values()))
+""",
+    "helpers": """
+from orograph._numba import leaf
+from parts.numbers import TIMES
+
+@leaf
+def scaled(x):
+    return x * TIMES
+""",
+    "numbers": "TIMES, MORE = 2.0, 1.0",
+}
+
+
+def test_a_kernel_is_compiled_anew_when_anything_that_it_is_made_of_changes(tmp_path: Path) -> None:
+    """Numba looks at its own file alone."""
+    (tmp_path / "parts").mkdir()
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import parts.kernels"
+
+    def printed(**parts: str) -> str:
+        for name, source in parts.items():
+            (tmp_path / "parts" / f"{name}.py").write_text(source)
+        return run(code, tmp_path / "cache", PYTHONDONTWRITEBYTECODE="1")
+
+    assert printed(**PARTS) == "3.0 0\n"
+    assert printed() == "3.0 1\n"
+    assert printed(helpers=PARTS["helpers"].replace("x * TIMES", "x * TIMES * 2.0")) == "5.0 0\n"
+    assert printed(numbers="TIMES, MORE = 3.0, 1.0") == "7.0 0\n"
+    assert printed(numbers="TIMES, MORE = 3.0, 4.0") == "10.0 0\n"
+    assert printed() == "10.0 1\n"
