@@ -94,7 +94,7 @@ class _Part(NamedTuple):
 
 
 def _made_of(function: FunctionType) -> str:
-    """A digest of the files that a kernel comes from (their times and sizes) and of the constants in it."""
+    """A digest of the files that a kernel comes from (names, times, sizes; the package may move) and its constants."""
     seen, todo = {function}, [function]
     files, values = set[str](), set[str]()
     while todo:
@@ -103,7 +103,7 @@ def _made_of(function: FunctionType) -> str:
         values |= part.values
         todo += part.functions - seen
         seen |= part.functions
-    found = sorted((file, *_stamp(file)) for file in files), sorted(values)
+    found = sorted((Path(file).name, *_stamp(file)) for file in files), sorted(values)
     return hashlib.blake2b(repr(found).encode(), digest_size=16).hexdigest()
 
 
