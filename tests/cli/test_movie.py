@@ -219,7 +219,6 @@ def test_ctrl_c(hilly, tmp_path, name):
             image.load()
 
 
-@pytest.mark.cases(1)
 @pytest.mark.parametrize("ending", ["mp4", "webm", "gif", "mkv"])
 def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, ending):
     from orograph.errors import OutputError

@@ -77,7 +77,6 @@ def samples(path: Path) -> np.ndarray:
         return file.read()
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("name", FORMATS)
 def test_wherever_the_disk_ends_a_file_is_whole_or_not_there(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], name: str

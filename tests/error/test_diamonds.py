@@ -26,7 +26,7 @@ def close_to(ours, truth):
     return truth * (1 - 1e-12) - 1e-9 <= ours <= truth * (1 + 1e-6) + 1e-4
 
 
-@pytest.mark.stress
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("shape", [*SHAPES[:6], *(pytest.param(one, marks=pytest.mark.stress) for one in SHAPES[6:])])
 def test_exact_is_the_largest_deviation_of_any_sample_made_monotonic(shape):
     z = heights(shape)

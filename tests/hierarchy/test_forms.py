@@ -81,7 +81,6 @@ CASES = [
 ]
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize(("everything", "n", "samples"), CASES)
 def test_scalars_arrays_and_kernels_agree(everything, n, samples) -> None:
     from orograph.hierarchy import kernels

@@ -86,7 +86,7 @@ CASES = {
 }
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("case", CASES)
 def test_workers_make_what_one_process_makes(tmp_path, case, by_workers, request):
     names, options = CASES[case]

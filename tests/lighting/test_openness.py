@@ -72,7 +72,7 @@ def eight(h: np.ndarray, reach: int, row: int, col: int, sign: int) -> float:
     return sum(angles) / len(angles) if angles else math.nan
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("radius", [12, 1000])
 @pytest.mark.parametrize("negative", [False, True])
 def test_eight_directions_of_the_paper(radius, negative):

@@ -98,7 +98,6 @@ def test_errors_double_from_level_to_level_rounded_in_the_exponent():
             assert all(len(body(one)) == 2 for one in whole_level)
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("shape", [(129, 129), (100, 77), (129, 40)])
 def test_vertices_move_to_the_parent_s_mesh(shape):
     t = plain.terrain(plain.rough(np.random.default_rng(9), shape))

@@ -37,7 +37,7 @@ def window_of(rectangle):
     return printed.Window(rectangle.level, rectangle.shape[0], rectangle.row0, rectangle.col0)
 
 
-@pytest.mark.stress
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("n", [15, 31, 63])
 def test_windows_rings_and_their_outer_rows_are_the_reference_s(n):
     rng, shape = np.random.default_rng(n), (1 << 14, 1 << 14)
@@ -268,7 +268,7 @@ def test_nested_windows_leave_room_for_their_transitions():
 # ---- goals ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("gaps", [0.0, 0.05])
 def test_budgets_are_kept(gaps):
     t = plain.terrain(plain.rough(np.random.default_rng(11), (1025, 700), amplitude=500.0, gaps=gaps))

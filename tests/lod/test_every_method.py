@@ -157,7 +157,6 @@ def test_budgets_of_triangles_and_of_time(name):
             assert verify.judge_mesh(mesh, t, view).ok(selection.bound), name
 
 
-@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", MESHES)
 def test_colors_split_what_heights_do_not(name):
     """Every method that has a color tolerance draws more for a smaller one; the others refuse it."""
@@ -222,7 +221,6 @@ def large():
     return plain.terrain(plain.rough(np.random.default_rng(11), (1025, 900), amplitude=900.0))
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("name", MESHES)
 def test_little_memory_makes_the_same_mesh_or_is_refused(name):
     t, cameras = large(), []

@@ -131,7 +131,7 @@ def keys_of(made: Roam, view: View, **goal) -> set:
     return found
 
 
-@pytest.mark.cases(1)
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("metric", ["wedgie", "anisotropic"])
 def test_the_mesh_is_the_smallest_that_keeps_the_tolerance(shape, metric):
@@ -188,7 +188,7 @@ def real(shared_data, name: str) -> MemoryTerrain:
     return plain.terrain(z, cell=30.0 if name == "bigtujunga" else 90.0)
 
 
-@pytest.mark.cases(1)
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("name", ["bigtujunga", "rainier"])
 @pytest.mark.parametrize(
     "error, metric", [("exact", "localised"), ("exact", "wedgie"), ("wedgie", "wedgie"), ("exact", "isotropic")]
@@ -380,7 +380,6 @@ def test_a_budget_of_time_leaves_nothing_in_view_out(monkeypatch):
     assert behind > 20
 
 
-@pytest.mark.cases(1)
 @pytest.mark.parametrize("goal", [{"triangles": 50}, {"seconds": 1e-9}])
 @pytest.mark.parametrize("options", [{}, {"cull": False}, {"back_facing": 0.0, "occluded": 0.0}])
 def test_no_budget_bridges_or_leaves_out_ground_at_holes(monkeypatch, goal, options):

@@ -14,7 +14,6 @@ from orograph.lod.soar import Soar
 from orograph.lod.stateless import Stateless
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_the_reference_s(shape, gaps):

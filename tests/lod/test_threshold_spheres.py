@@ -28,7 +28,7 @@ from orograph.lod.threshold_spheres_pass import decide
 from orograph.viewpoint import Camera
 
 
-@pytest.mark.cases(1)
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):

@@ -27,7 +27,6 @@ def ring(centre, radius, n=8, inner=1.0, turn=0.1):
 MIDDLE = (500_465, 3_999_535)
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("transform", [SQUARE, RECTANGULAR, ROTATED])
 def test_on_a_plane_the_surface_is_the_plan_by_the_cosine(transform):
     terrain = of_function((60, 60), lambda x, y: 0.5 * (x - 500_000) + 0.25 * (y - 4_000_000), transform)

@@ -52,7 +52,6 @@ def read_3mf(path):
     return trimesh.Trimesh(vertices, faces, process=False)
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("holes", [False, True])
 @pytest.mark.parametrize("transform", MAPS)
 def test_models_are_closed_and_hold_what_lies_under_the_mesh(tmp_path, transform, holes):

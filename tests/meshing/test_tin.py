@@ -116,7 +116,6 @@ def _cross(a, b, c, d) -> bool:
     return turn(a, b, c) * turn(a, b, d) <= 0 and turn(c, d, a) * turn(c, d, b) <= 0
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("seed", range(25))
 def test_the_worst_of_triangles_and_edges_is_exact(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -228,7 +227,6 @@ def test_neighbours_know_the_same_border(monkeypatch: pytest.MonkeyPatch) -> Non
     assert report.defects == {} and largest <= 1 + 1e-4
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("bound", ["samples", "surface"])
 @pytest.mark.parametrize("seed", range(5))
 def test_break_lines_are_edges(bound: tins.Bound, seed: int) -> None:

@@ -60,7 +60,7 @@ def detailed(request: pytest.FixtureRequest, coarse: orograph.Terrain, lidar: or
     return Detailed(coarse, 3, 5, steering)  # one doubling finer than the example
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("example", [False, True])
 def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, device, example: bool) -> None:
     """To the bit: at borders, beside voids, at every level, wherever a window begins."""
@@ -76,7 +76,7 @@ def test_a_gpu_makes_the_same(coarse: orograph.Terrain, lidar: orograph.Dem, dev
     np.testing.assert_array_equal(gpu.read(2, 20, 60, 30, 90), cpu.read(2, 20, 60, 30, 90))
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 def test_the_datas_own_samples_stay_and_levels_nest(coarse: orograph.Terrain, detailed: Detailed) -> None:
     whole = detailed.read(0, 0, detailed.grid.rows, 0, detailed.grid.cols)
     data = coarse.read(0, 0, 37, 0, 90)

@@ -69,7 +69,6 @@ def shoelace(ring):
     return abs((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
-@pytest.mark.stress
 @pytest.mark.parametrize("seed", range(5))
 def test_polygons_cover_their_area_and_what_lies_in_them(seed):
     rng = np.random.default_rng(seed)

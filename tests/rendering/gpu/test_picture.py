@@ -92,7 +92,7 @@ def beside_edges(seen: NDArray[np.bool_], pixels: int) -> NDArray[np.bool_]:
     return np.asarray(binary_dilation(seen, around) & binary_dilation(~seen, around))
 
 
-@pytest.mark.stress
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", sorted(SETS))
 @pytest.mark.parametrize("kind", ["whole", "near", "plan"])
 def test_it_is_the_cpus_picture(device: Device, shared_data: Path, name: str, kind: str) -> None:
