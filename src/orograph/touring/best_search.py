@@ -2,9 +2,9 @@
 
 Every camera begins with an upper bound of its gain: everything in its picture if nothing were hidden. A place has the
 bound of its best camera, and the place with the highest bound is always visited next: lines of sight are tested from it
-to some more pieces, in a well-mixed order, and hidden pieces are subtracted from the bounds of its cameras. A place
-whose pieces are all known and whose bound is still the highest has the best camera of all, because no other can exceed
-it. So the result is the same as that of testing everything from everywhere.
+to some more pieces, those that count most first, and hidden pieces are subtracted from the bounds of its cameras. A
+place whose pieces are all known and whose bound is still the highest has the best camera of all, because no other can
+exceed it. So the result is the same as that of testing everything from everywhere.
 
 The next view is the one with the largest gain over those before (greedy cover). The gain of a camera can only fall as
 views are added, so old bounds stay valid, and are updated when their place comes to the top (Minoux 1978); together k
@@ -41,8 +41,6 @@ ADDS = 1e-9
 """A gain below this counts as none."""
 AMBIENT = 0.5
 """The weight of a piece without sun, relative to one that faces the sun."""
-SEED = 19
-"""Seed of the order in which pieces are tested; the result is the same for any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +143,7 @@ class Search:
         points, axis = np.ascontiguousarray(self._points.T), np.ascontiguousarray(target.axis.T)
         self._pieces = Pieces(points, spans, axis, weight)
         self._cameras = cams.numbers()
-        self._order = np.random.default_rng(SEED).permutation(len(self._points))
+        self._order: dict[int, NDArray[np.int64]] = {}
         self._needed: dict[int, Array] = {}
         self._done: dict[int, int] = {}
         self._hidden_nothing = np.full(len(self._points), -np.inf)
@@ -236,11 +234,14 @@ class Search:
     def _look(self, p: int, unlit: Array, rival: float, out: Array) -> float:
         """A place's bound after lines of sight are tested, until all are or the bound is below a rival's."""
         done = self._done.get(p, 0)
+        first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
         if p not in self._needed:
             self._needed[p] = np.full(len(self._points), -np.inf)
-        first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
+            q = np.empty(len(self._points))
+            qualities(self._cameras, first + int(out.argmax()), self._pieces, q)
+            self._order[p] = np.argsort(-self._pieces.weight * q, kind="stable")
         self._done[p], bound = look(
-            self.ground.pyramid, self._at, self._heights, self._order, done, self._place[p], self._cameras,
+            self.ground.pyramid, self._at, self._heights, self._order[p], done, self._place[p], self._cameras,
             self._pieces, unlit, self._needed[p], first, last, rival, out,
         )  # fmt: skip
         self.looks += self._done[p] - done
