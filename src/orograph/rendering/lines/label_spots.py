@@ -130,7 +130,7 @@ def _by_the_sea(terrain: Terrain, level: int, at: Array) -> NDArray[np.bool_]:
     at = np.rint(at * 2.0 ** min(level, 0)).astype(np.intp)  # between samples, of the raster's own
     rows, cols = shape_of(terrain, max(level, 0))
     (c0, r0), (c1, r1) = np.maximum(at.min(0) - 3, 0), np.minimum(at.max(0) + 4, [cols, rows])
-    heights = read(terrain, max(level, 0), r0, r1, c0, c1)
+    heights = read(terrain, max(level, 0), r0, r1, c0, c1).astype(np.float32)
     sea = np.pad(level_in(heights, heights == 0), 2)
     col, row = (at - [c0, r0]).T
     return np.asarray(np.logical_or.reduce([sea[row + i, col + j] for i in range(5) for j in range(5)]))
