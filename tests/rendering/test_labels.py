@@ -212,3 +212,25 @@ def test_labels_come_by_degrees_as_one_zooms_in_beyond_samples(terrain: Terrain)
         before = now
     assert len(before) >= 4 and len(jumps) > 800
     assert max(jumps) < 0.75 and np.mean(np.array(jumps) > 0.35) < 0.02, sorted(jumps)[-5:]
+
+
+def test_where_water_is_drawn_the_edge_of_the_sea_is_no_contour() -> None:
+    """Corners of a coast, where the shore is smoother than the samples, would have bits of the line of 0 m."""
+    y, x = np.mgrid[:40, :44]
+    z = np.where((abs(x - 20) < 8) & (abs(y - 18) < 7) & (x + y < 40), 60.0, 0.0)
+    z[15:18, 15:18] = -9.0  # a hollow, whose line of 0 m is one
+    grid = Grid(z.shape, Affine(METRES, 0, EAST, 0, -METRES, NORTH), CRS.from_epsg(32632))
+    land = in_memory(Dem(z.astype(np.float32), grid))
+    middle = EAST + 20 * METRES, NORTH - 18 * METRES, 0.0
+    view = View((*middle[:2], 900.0), middle, projection="plan", width=400, height=320)
+    dry = Scene.of(land, view, contours=Contours(100.0), samples=1, water=None, light="none")
+    inked = []
+    for scene in (dry, dry.but(water="auto")):
+        picture, bare = draw(scene), draw(scene.but(contours=None))
+        inked.append((picture.pixels != bare.pixels).any(-1))
+        assert (picture.facts["shader"]["contours"]["labels"] > 0) == (scene is dry)
+    hollow = np.zeros_like(inked[0])
+    rows, cols = np.nonzero(inked[1])
+    col, row = land.grid.index(*picture.grid.xy(cols, rows))
+    hollow[rows, cols] = (abs(col - 16) < 2.5) & (abs(row - 16) < 2.5)
+    assert 50 < hollow.sum() == inked[1].sum() < 0.3 * inked[0].sum()

@@ -188,7 +188,7 @@ def test_every_score_is_that_of_brute_force() -> None:
         bound = search._bound(p, np.zeros(len(target.points)), np.ones(len(cams), bool))
         while search._done.get(p, 0) < len(target.points):
             before = bound.copy()
-            search._look(p, np.zeros(len(target.points)), bound)
+            search._look(p, np.zeros(len(target.points)), math.inf, bound)
             assert (bound <= before + 1e-12).all()  # bounds only come down
     ours = np.array([np.nan_to_num(search._seen(m)) @ target.weight for m in range(len(cams))])
     np.testing.assert_allclose(ours, brute(ground, target, cams) @ target.weight, atol=2e-3)

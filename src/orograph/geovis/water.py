@@ -196,12 +196,12 @@ def judge(
         open_area: (rows, cols) numbers from 1 of the areas that reach a cut, 0 elsewhere; their verdict is left at 0.
         verdicts: (number + 1,) how the open areas look, as far as they can be seen.
     """
-    level = _same(heights, np.isfinite(heights))
+    level = level_in(heights, np.isfinite(heights))
     verdict, open_area = np.zeros(heights.shape, np.int8), np.zeros(heights.shape, np.int32)
     verdicts = np.zeros(1, np.int8)
     if level.any():
         reach = min(max(round(REACH / spacing) + 1, 4), 8)  # from the rim, one sample inside the shore
-        inner = _same(heights, level)
+        inner = level_in(heights, level)
         heights = read_only(np.ascontiguousarray(heights))
         clipped = lowest if _is_clipped(heights, level, inner, spacing, lowest) else np.nan
         verdicts = _flood(heights, level, inner, clipped, reach, cut, verdict, open_area)
@@ -299,7 +299,7 @@ def shore(water: NDArray[np.bool_]) -> NDArray[np.float32]:
     return np.asarray(field, np.float32)
 
 
-def _same(heights: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def level_in(heights: NDArray[np.float32], where: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Samples in ``where`` whose eight neighbours (those inside the raster) are in ``where`` and have their height."""
     level = where
     for axis in (0, 1):

@@ -98,13 +98,14 @@ def lower(heights, eye, x, y, lattice, out):
 def first_level(z, out, row0, row1):
     """Node rows [row0, row1) of level 1: the 3 × 3 samples of 2 × 2 cells."""
     rows, cols = z.shape
+    highest = np.empty(cols + 1, z.dtype)  # of three rows; the last column twice
     for i in range(row0, row1):
+        a, b, c = 2 * i, 2 * i + 1, min(2 * i + 2, rows - 1)
+        for j in range(cols):
+            highest[j] = max(max(z[a, j], z[b, j]), z[c, j])
+        highest[cols] = highest[cols - 1]
         for j in range(out.shape[1]):
-            m = MISSING
-            for r in range(2 * i, min(2 * i + 3, rows)):
-                for c in range(2 * j, min(2 * j + 3, cols)):
-                    m = max(m, z[r, c])
-            out[i, j] = m
+            out[i, j] = max(max(highest[2 * j], highest[2 * j + 1]), highest[2 * j + 2])
 
 
 @kernel
@@ -118,21 +119,22 @@ def next_level(fine, out, row0, row1):
 
 
 @inlined
-def over(h0, h1, ground, t, last, least, stop):
-    """(h1, last): the end's height, raised (inf with ``stop``) if ``ground`` at t is above the line by ``least``."""
+def over(h0, h1, ground, t, last, least, most):
+    """(h1, last): the end's height, raised if ``ground`` at t is above the line by ``least``; inf above ``most``."""
     if ground - (h0 + t * (h1 - h0)) > least and t > 1e-12 and t < 1.0 - 1e-12:
-        return (INF if stop else h0 + (ground - h0) / t), t
+        raised = h0 + (ground - h0) / t
+        return (INF if raised > most else raised), t
     return h1, last
 
 
 @leaf
-def walk(pyramid, cx, cy, start, end, least, stop):
+def walk(pyramid, cx, cy, start, end, least, most):
     """The height that the end of a line needs for the line to clear the ground.
 
     Args:
         pyramid: ``Pyramid``. cx, cy: the first cell of the line.
         start, end: of the line, (column, row, apparent height in quanta), float64. least: quanta.
-        stop: return inf at the first ground above the line.
+        most: end with inf where the height exceeds this; −inf: at the first ground above the line.
 
     Returns:
         (h1, t): the end's height, raised until no ground is above the line, and the place of the ground that raised it
@@ -178,19 +180,19 @@ def walk(pyramid, cx, cy, start, end, least, stop):
                     base0, p0, q0, base1, p1, q1 = a, b - a, c - a, b + c - d, d - c, d - b
                 if has0:
                     if g0 >= 0.0:
-                        h1, last = over(h0, h1, base0 + u0 * p0 + v0 * q0, t, last, least, stop)
+                        h1, last = over(h0, h1, base0 + u0 * p0 + v0 * q0, t, last, least, most)
                     if g1 >= 0.0:
-                        h1, last = over(h0, h1, base0 + u1 * p0 + v1 * q0, te, last, least, stop)
+                        h1, last = over(h0, h1, base0 + u1 * p0 + v1 * q0, te, last, least, most)
                 if has1:
                     if g0 <= 0.0:
-                        h1, last = over(h0, h1, base1 + u0 * p1 + v0 * q1, t, last, least, stop)
+                        h1, last = over(h0, h1, base1 + u0 * p1 + v0 * q1, t, last, least, most)
                     if g1 <= 0.0:
-                        h1, last = over(h0, h1, base1 + u1 * p1 + v1 * q1, te, last, least, stop)
+                        h1, last = over(h0, h1, base1 + u1 * p1 + v1 * q1, te, last, least, most)
                 if g0 * g1 < 0.0 and (has0 or has1):
                     f = g0 / (g0 - g1)
                     u, v = u0 + f * (u1 - u0), v0 + f * (v1 - v0)
                     ground = base0 + u * p0 + v * q0 if has0 else base1 + u * p1 + v * q1
-                    h1, last = over(h0, h1, ground, t + f * (te - t), last, least, stop)
+                    h1, last = over(h0, h1, ground, t + f * (te - t), last, least, most)
                 if h1 == INF:
                     return h1, last
         if te >= 1.0:
@@ -222,18 +224,18 @@ def first_cell(position, step, cells):
 
 
 @leaf
-def along(pyramid, start, end, least, stop):
+def along(pyramid, start, end, least, most):
     """``walk`` from its first cell; a line along a row or a column of samples has ground on either side."""
     (x, y, _), (x1, y1, _) = start, end
     dx, dy = x1 - x, y1 - y
     rows, cols = pyramid.z.shape
     cx, cy = first_cell(x, dx, cols - 1), first_cell(y, dy, rows - 1)
-    h1, at = walk(pyramid, cx, cy, start, end, least, stop)
+    h1, at = walk(pyramid, cx, cy, start, end, least, most)
     if dx == 0.0 and x == np.floor(x) and x > 0.0 and h1 < INF:
-        h1, other = walk(pyramid, np.int64(x) - 1, cy, start, (x1, y1, h1), least, stop)
+        h1, other = walk(pyramid, np.int64(x) - 1, cy, start, (x1, y1, h1), least, most)
         at = other if other >= 0.0 else at
     if dy == 0.0 and y == np.floor(y) and y > 0.0 and h1 < INF:
-        h1, other = walk(pyramid, cx, np.int64(y) - 1, start, (x1, y1, h1), least, stop)
+        h1, other = walk(pyramid, cx, np.int64(y) - 1, start, (x1, y1, h1), least, most)
         at = other if other >= 0.0 else at
     return h1, at
 
@@ -292,11 +294,11 @@ def look(pyramid, ox, oy, height, stretch, least, stop, window, out):
                         raised, hides = eye + (ground - eye) / t, s
             if (raised == target or not stop) and far > 0.0:
                 if stop:
-                    h1, at = along(pyramid, (x, y, target), (ox, oy, eye), least, stop)
+                    h1, at = along(pyramid, (x, y, target), (ox, oy, eye), least, -INF)
                     if at >= 0.0:
                         raised, hides = INF, (1.0 - at) * far
                 else:
-                    h1, at = along(pyramid, (ox, oy, eye), (x, y, raised), least, stop)
+                    h1, at = along(pyramid, (ox, oy, eye), (x, y, raised), least, INF)
                     if at >= 0.0:
                         raised, hides = h1, at * far
             before[k] = hides

@@ -14,6 +14,10 @@ SHORE = 0.04
 LEAST = 0.7
 """The minor axis of a footprint, at least, in pixels on ground that faces the eye at the same distance."""
 
+BESIDE = 0.06, 0.2
+"""The field of water from where on the contour of height 0 fades, and where it is gone: beside the sea, which its own
+edge ends, there would be only bits of it, where the shore is smoother than the samples."""
+
 
 class MapPlace(NamedTuple):
     """Where a map lies: its samples are 2^level = ``scale`` apart, the first is (row0, col0) of that level."""

@@ -57,22 +57,21 @@ class Cameras:
         eye, middle = (tuple(float(v) for v in p) for p in (self.eyes[number], self.middle))
         return View(eye, middle, fov_y=float(self.fov[number]), width=self.size[0], height=self.size[1])  # type: ignore[arg-type]
 
-    def axes(self) -> Array:
-        """(m, 3, 3): the rows right, up and forward of each."""
-        forward = self.middle - self.eyes
-        forward /= np.linalg.norm(forward, axis=1)[:, None]
-        right = np.column_stack([forward[:, 1], -forward[:, 0], np.zeros(len(self))])
-        right /= np.linalg.norm(right, axis=1)[:, None]
-        return np.stack([right, np.cross(right, forward), forward], 1)
+    def numbers(self) -> Array:
+        """(14, m), for ``best_kernels``.
 
-    def slopes(self) -> Array:
-        """(m, 2): the tangents of half the picture's width and height."""
-        half = np.tan(np.radians(self.fov) / 2)
-        return np.column_stack([half * self.size[0] / self.size[1], half])
-
-    def fitting(self) -> Array:
-        """(m,): the distance from which a camera has the whole target in its picture, metres."""
-        return np.asarray(self.radius / np.sin(np.arctan(self.slopes().min(1))))
+        These are the eye; the directions right (its third is 0), up and forward; the tangents of half the picture's
+        width and height; and the distance from which the whole target is in it.
+        """
+        forward = (self.middle - self.eyes).T
+        forward = forward / np.sqrt((forward**2).sum(0))
+        across = np.sqrt((forward[:2] ** 2).sum(0))
+        right = np.stack([forward[1], -forward[0]]) / across
+        up = np.stack([right[1] * forward[2], -right[0] * forward[2], across])
+        tall = np.tan(np.radians(self.fov) / 2)
+        wide = tall * self.size[0] / self.size[1]
+        fitting = self.radius / np.sin(np.arctan(np.minimum(wide, tall)))
+        return np.concatenate([self.eyes.T, right, up, forward, [wide, tall, fitting]])
 
 
 def cameras(

@@ -13,19 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.measuring.viewshed_kernels import along
+from orograph.measuring.viewshed_kernels import INF, along
 
+PARTS, LEAST_PART = 12, 48
+"""In how many parts a place's pieces are tested, and how many pieces a part has at least."""
 LEAST = 1e-4
 """Metres by which ground must rise above a line of sight to hide: less is rounding."""
-
-
-class Pinholes(NamedTuple):
-    """All cameras (n,): ``best_cameras.Cameras`` has their eyes (n, 3), axes (n, 3, 3), slopes (n, 2) and fitting."""
-
-    eyes: NDArray[Any]
-    axes: NDArray[Any]
-    slopes: NDArray[Any]
-    fitting: NDArray[Any]
 
 
 class Pieces(NamedTuple):
@@ -43,11 +36,10 @@ class Pieces(NamedTuple):
 
 @inlined
 def camera(cameras, m):
-    """The numbers of camera m for ``quality``."""
-    eyes, axes, slopes, fitting = cameras
+    """The numbers of camera m for ``quality``. cameras: (14, m), ``best_cameras.Cameras.numbers``."""
     return (
-        eyes[m, 0], eyes[m, 1], eyes[m, 2], axes[m, 0, 0], axes[m, 0, 1], axes[m, 1, 0], axes[m, 1, 1], axes[m, 1, 2],
-        axes[m, 2, 0], axes[m, 2, 1], axes[m, 2, 2], slopes[m, 0], slopes[m, 1], fitting[m],
+        cameras[0, m], cameras[1, m], cameras[2, m], cameras[3, m], cameras[4, m], cameras[5, m], cameras[6, m],
+        cameras[7, m], cameras[8, m], cameras[9, m], cameras[10, m], cameras[11, m], cameras[12, m], cameras[13, m],
     )  # fmt: skip
 
 
@@ -77,7 +69,7 @@ def quality(cam, points, axis, i, kind, zero, one):
 
 @kernel
 def qualities(cameras, m, pieces, out):
-    """``quality`` of all ``Pieces`` for camera m of ``Pinholes``; out: (n,)."""
+    """``quality`` of all ``Pieces`` for camera m; out: (n,)."""
     points, spans, axis, _ = pieces
     cam = camera(cameras, m)
     for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
@@ -102,7 +94,7 @@ def values(cameras, pieces, best, needed, first, last, out):
     q = np.empty(len(weight))
     for m in range(first, last):
         qualities(cameras, m, pieces, q)
-        height = cameras.eyes[m, 2]
+        height = cameras[2, m]
         for i in range(len(q)):
             more = weight[i] * max(q[i] - best[i], 0.0)
             q[i] = more if height >= needed[i] else 0.0
@@ -123,10 +115,9 @@ def ceilings(cameras, pieces, starts, out):
     """
     zero, one = np.float32(0.0), np.float32(1.0)
     points, spans, axis, weight = pieces
-    n = points.shape[1]
-    q = np.zeros(n + 3, np.float32)
+    q = np.empty(points.shape[1], np.float32)
     for p in range(len(starts) - 1):
-        most = 0.0
+        most = zero
         for m in range(starts[p], starts[p + 1]):
             cam = camera(cameras, m)
             for i in range(np.uint64(spans[0]), np.uint64(spans[1])):
@@ -135,34 +126,67 @@ def ceilings(cameras, pieces, starts, out):
                 q[i] = weight[i] * quality(cam, points, axis, i, 1, zero, one)
             for i in range(np.uint64(spans[2]), np.uint64(spans[3])):
                 q[i] = weight[i] * quality(cam, points, axis, i, 2, zero, one)
-            a = b = c = d = 0.0
-            for i in range(0, n, 4):
-                a, b, c, d = a + q[i], b + q[i + 1], c + q[i + 2], d + q[i + 3]
-            most = max(most, a + b + c + d)
+            n = np.uint64(len(q))
+            while n > 1:  # in pairs: rounding stays below ``WIDER``, and the loop is vectorised
+                half = (n + np.uint64(1)) // np.uint64(2)
+                for i in range(n - half):
+                    q[i] += q[half + i]
+                n = half
+            most = max(most, q[0])
         out[p] = most
 
 
+@inlined
+def hide(cameras, points, axis, i, kind, height, weight, best, first, out):
+    """Subtract a piece from the values of the cameras, from number ``first`` on, that are below a height."""
+    for k in range(np.uint64(out.shape[0])):
+        m = np.uint64(first) + k
+        q = quality(camera(cameras, m), points, axis, i, kind, 0.0, 1.0)
+        less = weight * max(q - best, 0.0)
+        out[k] -= less if cameras[2, m] < height else 0.0
+
+
 @kernel
-def look(pyramid, at, heights, which, place, cameras, pieces, best, needed, first, last, out):
-    """Find ``needed`` of the pieces ``which`` from one place, and subtract those that its cameras do not see.
+def look(pyramid, at, heights, which, done, place, cameras, pieces, best, needed, first, last, rival, out):
+    """Find ``needed`` of pieces from one place, and subtract those that its cameras do not see, in parts.
+
+    It ends when all pieces are known, or no camera of the place may be as good as the rival.
 
     Args:
         pyramid: ``Pyramid`` of heights. at: (n, 2) column and row of the pieces in it.
         heights: (n,) of the points to see: the pieces, or targets standing there.
-        place: column, row and height of the place's lowest camera.
+        which: (n,) the order of the pieces, the first ``done`` of which are known. place: column and row.
+        needed: written; inf where no camera is high enough. rival: the next place's bound.
         out: (last − first,) the values, an upper bound before and after.
+
+    Returns:
+        The number of pieces that are known, and the largest value.
     """
     points, spans, axis, weight = pieces
-    eyes, lowest = cameras.eyes, place[2]
-    for i in which:
-        h, _ = along(pyramid, (at[i, 0], at[i, 1], heights[i]), place, LEAST, False)
-        needed[i] = h
-        if h > lowest:
-            kind = 0 if i < spans[1] else 1 if i < spans[2] else 2
-            for m in range(first, last):
-                if eyes[m, 2] < h:
-                    q = quality(camera(cameras, m), points, axis, i, kind, 0.0, 1.0)
-                    out[m - first] -= weight[i] * max(q - best[i], 0.0)
+    lowest, highest = INF, -INF
+    for m in range(first, last):
+        lowest, highest = min(lowest, cameras[2, m]), max(highest, cameras[2, m])
+    bound = out.max()
+    part = max(-(-len(which) // PARTS), LEAST_PART)
+    while done < len(which):
+        for i in which[done : done + part]:
+            piece = at[i, 0], at[i, 1], heights[i]
+            h, _ = along(pyramid, piece, (place[0], place[1], lowest), LEAST, highest)
+            needed[i] = h
+            if h <= lowest:
+                continue
+            k = np.uint64(i)
+            if i >= spans[2]:
+                hide(cameras, points, axis, k, 2, h, weight[i], best[i], first, out)
+            elif i >= spans[1]:
+                hide(cameras, points, axis, k, 1, h, weight[i], best[i], first, out)
+            else:
+                hide(cameras, points, axis, k, 0, h, weight[i], best[i], first, out)
+        done = min(done + part, len(which))
+        bound = out.max()
+        if bound < rival:
+            break
+    return done, bound
 
 
 @kernel
@@ -171,5 +195,5 @@ def lit(pyramid, at, heights, step, rise, out):
     for i in range(at.shape[0]):
         end = heights[i] + rise
         start, sun = (at[i, 0], at[i, 1], heights[i]), (at[i, 0] + step[0], at[i, 1] + step[1], end)
-        h, _ = along(pyramid, start, sun, LEAST, True)
+        h, _ = along(pyramid, start, sun, LEAST, -INF)
         out[i] = 1.0 if h <= end else 0.0

@@ -2,9 +2,9 @@
 
 Every camera begins with an upper bound of its gain: everything in its picture if nothing were hidden. A place has the
 bound of its best camera, and the place with the highest bound is always visited next: lines of sight are tested from it
-to some more pieces, in a well-mixed order, and hidden pieces are subtracted from the bounds of its cameras. A place
-whose pieces are all known and whose bound is still the highest has the best camera of all, because no other can exceed
-it. So the result is the same as that of testing everything from everywhere.
+to some more pieces, those that count most first, and hidden pieces are subtracted from the bounds of its cameras. A
+place whose pieces are all known and whose bound is still the highest has the best camera of all, because no other can
+exceed it. So the result is the same as that of testing everything from everywhere.
 
 The next view is the one with the largest gain over those before (greedy cover). The gain of a camera can only fall as
 views are added, so old bounds stay valid, and are updated when their place comes to the top (Minoux 1978); together k
@@ -23,18 +23,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.lighting.sun import Sun
-from orograph.measuring.viewshed_kernels import MISSING, Pyramid, first_level, next_level
+from orograph.measuring.viewshed_kernels import MISSING, Pyramid, first_level, ground_at, next_level
 from orograph.parallel import for_each
 from orograph.progress import SILENT, Progress
 from orograph.store.terrain import EXACT_SAMPLES, Terrain
 from orograph.touring.best_cameras import Cameras
-from orograph.touring.best_kernels import Pieces, Pinholes, ceilings, lit, look, qualities, values
+from orograph.touring.best_kernels import Pieces, ceilings, lit, look, qualities, values
 from orograph.touring.best_target import AREA, Target
 
 Array = NDArray[np.float64]
 
-BLOCKS = 12
-"""Parts in which a place's pieces are tested."""
 PLACES = 64
 """Places that a thread judges at a time."""
 WIDER = 1 + 1e-4
@@ -43,8 +41,6 @@ ADDS = 1e-9
 """A gain below this counts as none."""
 AMBIENT = 0.5
 """The weight of a piece without sun, relative to one that faces the sun."""
-SEED = 19
-"""Seed of the order in which pieces are tested; the result is the same for any."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +72,7 @@ class Ground:
             if (end[0] - col) * (end[1] - row) <= EXACT_SAMPLES or level == terrain.levels - 1:
                 break
             level += 1
-        z = terrain.read(level, row, end[1], col, end[0]).astype(np.float32)
+        z = terrain.read(level, row, end[1], col, end[0])
         return cls(level, pyramid_of(z), row, col)
 
     def samples(self, terrain: Terrain, places: Array) -> Array:
@@ -146,8 +142,8 @@ class Search:
         spans = np.searchsorted(target.kind, np.arange(4))
         points, axis = np.ascontiguousarray(self._points.T), np.ascontiguousarray(target.axis.T)
         self._pieces = Pieces(points, spans, axis, weight)
-        self._cameras = Pinholes(cams.eyes, cams.axes(), cams.slopes(), cams.fitting())
-        self._order = np.random.default_rng(SEED).permutation(len(self._points))
+        self._cameras = cams.numbers()
+        self._order: dict[int, NDArray[np.int64]] = {}
         self._needed: dict[int, Array] = {}
         self._done: dict[int, int] = {}
         self._hidden_nothing = np.full(len(self._points), -np.inf)
@@ -161,15 +157,12 @@ class Search:
         found: list[Found] = []
         best = np.zeros(len(self._points))
         allowed = np.ones(len(self.cams), bool)
-        direction = self.cams.eyes - self.cams.middle
-        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        forward = self._cameras[8:11]
         bounds = self._bounds()
         with self.progress.task("Searching for views", total=k) as task:
             while len(found) < k:
                 chosen = self._next(best, allowed, bounds)
-                if (
-                    chosen is None and best.any()
-                ):  # everything visible is already seen: continue with the best single views
+                if chosen is None and best.any():  # all that is visible is seen: continue with the best single views
                     best = np.zeros(len(best))
                     bounds = self._bounds()
                     continue
@@ -180,7 +173,7 @@ class Search:
                 gain = float((self.target.weight * np.maximum(q - before, 0.0)).sum())
                 found.append(Found(chosen, float((self.target.weight * q).sum()), gain, self._seen(chosen)))
                 best = np.maximum(best, q)
-                allowed &= direction @ direction[chosen] < math.cos(math.radians(apart))
+                allowed &= forward[:, chosen] @ forward < math.cos(math.radians(apart))
                 allowed[chosen] = False
                 task.advance()
         return found
@@ -189,9 +182,10 @@ class Search:
         """Upper bounds of the gain of each place's best camera, whatever is already visible, in single precision."""
         cams, middle = self.cams, self.cams.middle
         points, spans, axis, weight = self._pieces
-        _, axes, slopes, fitting = self._cameras
-        wider = cams.eyes - middle, axes, slopes * WIDER, fitting * WIDER
-        cameras = Pinholes(*(part.astype(np.float32) for part in wider))
+        cameras = self._cameras.copy()
+        cameras[:3] -= middle[:, None]
+        cameras[-3:] *= WIDER
+        cameras = cameras.astype(np.float32)
         moved = points - middle[:, None]
         pieces = Pieces(moved.astype(np.float32), spans, axis.astype(np.float32), weight.astype(np.float32))
         out = np.empty(len(cams.place))
@@ -203,21 +197,17 @@ class Search:
                 task.advance(b - a)
 
             for_each(judge, range(0, len(out), PLACES), self.jobs)
-        return [float(bound) for bound in out * WIDER + ADDS]
+        return list(out * WIDER + ADDS)
 
-    def _bound(self, p: int, best: Array, allowed: NDArray[np.bool_]) -> Array:
+    def _bound(self, p: int, unlit: Array, allowed: NDArray[np.bool_]) -> Array:
         """The known upper bound of the gain of each camera of a place; −1 for those that are not allowed."""
         first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
         out = np.empty(last - first)
         if not allowed[first:last].any():
             return np.full(last - first, -1.0)
-        # (A view's q includes its light, which kernels put into the weight: remove it here.)
         needed = self._needed.get(p, self._hidden_nothing)
-        values(self._cameras, self._pieces, self._unlit(best), needed, first, last, out)
+        values(self._cameras, self._pieces, unlit, needed, first, last, out)
         return np.where(allowed[first:last], out, -1.0)
-
-    def _unlit(self, best: Array) -> Array:
-        return best / self.light
 
     def _next(self, best: Array, allowed: NDArray[np.bool_], bounds: list[float]) -> int | None:
         """The camera with the largest gain; None if none has any. Tightens ``bounds``."""
@@ -226,36 +216,36 @@ class Search:
         heapq.heapify(heap)
         new: dict[int, Array] = {}
         n = len(self._points)
-        unlit = self._unlit(best)
+        unlit = best / self.light  # a view's q includes its light, which kernels put into the weight
         while heap:
             bound, p = heap[0]
             if bound >= -ADDS:
                 return None
             if p not in new:
-                new[p] = self._bound(p, best, allowed)
+                new[p] = self._bound(p, unlit, allowed)
+                bounds[p] = float(new[p].max())
             elif self._done.get(p, 0) == n:
                 return int(first[p]) + int(new[p].argmax())
             else:
-                self._look(p, unlit, new[p])
-            bounds[p] = float(new[p].max())
+                bounds[p] = self._look(p, unlit, -min(heap[1:3])[0] if len(heap) > 1 else 0.0, new[p])
             heapq.heapreplace(heap, (-bounds[p], p))
         return None
 
-    def _look(self, p: int, unlit: Array, out: Array) -> None:
-        """Test lines of sight from a place to some more pieces."""
-        n, begin = len(self._points), self._done.get(p, 0)
-        end = min(begin + max(-(-n // BLOCKS), 16), n)
-        if p not in self._needed:
-            self._needed[p] = np.full(n, -np.inf)
+    def _look(self, p: int, unlit: Array, rival: float, out: Array) -> float:
+        """A place's bound after lines of sight are tested, until all are or the bound is below a rival's."""
+        done = self._done.get(p, 0)
         first, last = int(self.cams.first[p]), int(self.cams.first[p + 1])
-        lowest = float(self.cams.eyes[first:last, 2].min())
-        place = float(self._place[p, 0]), float(self._place[p, 1]), lowest
-        look(
-            self.ground.pyramid, self._at, self._heights, self._order[begin:end], place, self._cameras, self._pieces,
-            unlit, self._needed[p], first, last, out,
+        if p not in self._needed:
+            self._needed[p] = np.full(len(self._points), -np.inf)
+            q = np.empty(len(self._points))
+            qualities(self._cameras, first + int(out.argmax()), self._pieces, q)
+            self._order[p] = np.argsort(-self._pieces.weight * q, kind="stable")
+        self._done[p], bound = look(
+            self.ground.pyramid, self._at, self._heights, self._order[p], done, self._place[p], self._cameras,
+            self._pieces, unlit, self._needed[p], first, last, rival, out,
         )  # fmt: skip
-        self.looks += end - begin
-        self._done[p] = end
+        self.looks += self._done[p] - done
+        return float(bound)
 
     def _seen(self, camera: int) -> Array:
         """(n,) q with its light of the pieces that a camera sees, all of which were tested; NaN for others."""
@@ -267,8 +257,6 @@ class Search:
 
     def _above(self) -> None:
         """Raise targets onto a level's ground if that is above them."""
-        from orograph.measuring.viewshed_kernels import ground_at
-
         for i, (x, y) in enumerate(self._at):
             self._heights[i] = max(self._heights[i], ground_at(self.ground.pyramid.z, x, y))
 

@@ -66,7 +66,8 @@ def test_both_backends_draw_the_same_lines_and_labels(device: Device, terrain: T
     assert marked.mean() > 0.03 and apart[marked].mean() < 3.0, apart[marked].mean()
 
 
-def test_both_backends_draw_the_same_coast(device: Device) -> None:
+@pytest.mark.parametrize("water", [None, "auto"])
+def test_both_backends_draw_the_same_coast(device: Device, water: str | None) -> None:
     """A level sea beside samples of many pixels."""
     y, x = np.mgrid[:40, :40]
     z = np.maximum(0, 400 - 45 * np.hypot(x - 20, y - 20)).astype(np.float32)
@@ -74,7 +75,7 @@ def test_both_backends_draw_the_same_coast(device: Device) -> None:
     middle = (EAST + 40_000.0, NORTH - 40_000.0, 0.0)
     view = View((*middle[:2], 50_000.0), middle, projection="plan", width=SIZE[0], height=SIZE[1])
     lines = Contours(100.0, casing=0.6, labels=False)
-    scene = Scene.of(in_memory(Dem(z, grid)), view, samples=4, contours=lines, light="none", water=None)
+    scene = Scene.of(in_memory(Dem(z, grid)), view, samples=4, contours=lines, light="none", water=water)
     cpu, gpu = draw_cpu(scene), draw_gpu(scene, device=device)
     apart = np.linalg.norm(lab(cpu.pixels) - lab(gpu.pixels), axis=-1)
     assert apart.mean() < 0.5 and (apart > 8).mean() < 1e-3, (apart.mean(), (apart > 8).mean())

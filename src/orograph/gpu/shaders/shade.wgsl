@@ -93,6 +93,7 @@ struct Ground {
   color: vec3<f32>,
   slope: vec2<f32>,     // metres per metre east and north, of the true ground
   wet: f32,             // how much of it is water
+  beside: f32,          // how close it is to water, 1: contours of height 0 are left out (rendering/lookup.py)
 };
 
 // Whether all ground up to a height is water, instead of level ground.
@@ -146,21 +147,18 @@ fn ground(at: Place, height: f32, footprint: f32, position: vec3<f32>, depth: f3
   }
   // end: RAYS
   var albedo = tint_of(height);
-  var wet = 0.0;
-  if ((FLAGS & 2u) != 0u) {
-    wet = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
-    wet = clamp((wet - (0.5 - shade.water.w)) / (2.0 * shade.water.w), 0.0, 1.0);
-    wet = wet * wet * (3.0 - 2.0 * wet);
-    albedo = mix(albedo, shade.water.rgb, wet);
-  }
+  var water = 0.0;
   if (is_flooded() && beyond(at)) {
-    wet = smoothstep(0.5 - shade.water.w, 0.5 + shade.water.w, shade.tint.w + 0.5 + shade.water.w - height);
-    albedo = mix(tint_of(height), shade.water.rgb, wet);
+    water = shade.tint.w + 0.5 + shade.water.w - height;
+  } else if ((FLAGS & 2u) != 0u) {
+    water = map_value(shade.light.x + size.x * size.y, size, first, shade.light.w, at);
   }
+  let wet = smoothstep(0.5 - shade.water.w, 0.5 + shade.water.w, water);
+  albedo = mix(albedo, shade.water.rgb, wet);
   if ((FLAGS & 4u) != 0u) {
     albedo = under_layers(albedo, position.xy, footprint_of(vec2<f32>(pixel) + 0.5, position, depth, g));
   }
-  return Ground(shoulder(albedo * light), g, wet);
+  return Ground(shoulder(albedo * light), g, wet, smoothstep(0.06, 0.2, water));
 }
 
 // The ground in a pixel: its position relative to the eye, its place on the raster, and the pixel's footprint there.
@@ -261,7 +259,8 @@ fn shown(at: vec2<f32>, stored: f32) -> vec4<f32> {
     }
     let casing = max(shade.casing.x, lifting(color, 0.2));
     var cover = contours(height, hit.place, hit.footprint, depth, ray.direction, drawn, own, casing > 0.0);
-    cover *= (1.0 - seen.wet) * vec2<f32>(shade.contour.w, casing);
+    let hidden = select(seen.wet, seen.beside, abs(height) < 0.5 * shade.contour.x);
+    cover *= (1.0 - hidden) * vec2<f32>(shade.contour.w, casing);
     if ((FLAGS & 4096u) != 0u) {   // labels: rendering/cpu/marks.py
       let letters = textureLoad(lettering, pixel, 0).rg;
       color = mix(color, shade.paper.rgb, max(shade.casing.x, lifting(color, 0.3)) * letters.g);

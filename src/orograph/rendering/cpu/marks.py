@@ -60,7 +60,7 @@ class Lines:
             view, exaggeration = scene.view.whole, scene.surface.exaggeration
             drawn = None if self.under is None else ground.caster.surfaces
             labels = memo(
-                "labels of a view", (view, exaggeration, self.contours),
+                "labels of a view", (view, exaggeration, self.contours, scene.data.water is None),
                 lambda: placer.place(scene, self.contours, drawn), placer if drawn is None else ground.caster,
             )  # fmt: skip
             self.letters = Lettering.of(labels, view, exaggeration, self.contours.type_size)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._numba import inlined, kernel
-from orograph.rendering.lookup import SHORE, bilinear, within_map
+from orograph.rendering.lookup import BESIDE, SHORE, bilinear, within_map
 
 CLOSE = 3.0, 7.0
 """Pixels between lines at which they are gone, and from which on they are whole."""
@@ -118,7 +118,8 @@ def line_cover(px, py, t, seen, basis, lines, water, place, casing, out):
         cover *= _ramp(LEVEL[0], LEVEL[1], slope)
         if cover > 0.0 and water.shape[0] > 0:
             x, y = within_map(place, points[i, 0], points[i, 1])
-            cover *= 1.0 - _ramp(0.5 - SHORE, 0.5 + SHORE, bilinear(water, x, y))
+            dry, wet = BESIDE if nearest == 0.0 else (0.5 - SHORE, 0.5 + SHORE)
+            cover *= 1.0 - _ramp(dry, wet, bilinear(water, x, y))
         out[i] = cover
 
 

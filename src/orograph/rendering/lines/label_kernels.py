@@ -121,9 +121,10 @@ def set_labels(places, opacity, first, shapes, pool, scale, left, top, out):
         half_w, half_h = 0.5 * wide / scale, 0.5 * tall / scale
         reach_x = abs(c) * half_w + abs(s) * half_h + 1.0
         reach_y = abs(s) * half_w + abs(c) * half_h + 1.0
-        mx, my = places[i, 0] - left, places[i, 1] - top
-        for y in range(max(int(np.floor(my - reach_y)), 0), min(int(np.ceil(my + reach_y)) + 1, rows)):
-            for x in range(max(int(np.floor(mx - reach_x)), 0), min(int(np.ceil(mx + reach_x)) + 1, cols)):
+        mx, my = places[i, 0], places[i, 1]
+        for y in range(max(int(np.floor(my - reach_y)), top), min(int(np.ceil(my + reach_y)) + 1, top + rows)):
+            for x in range(max(int(np.floor(mx - reach_x)), left), min(int(np.ceil(mx + reach_x)) + 1, left + cols)):
+                # (Counted from the whole picture's corner, so that every sheet has the same numbers.)
                 dx, dy = x + 0.5 - mx, y + 0.5 - my
                 u, v = c * dx + s * dy, c * dy - s * dx
                 fx, fy = u * scale + 0.5 * wide - 0.5, v * scale + 0.5 * tall - 0.5
@@ -137,5 +138,6 @@ def set_labels(places, opacity, first, shapes, pool, scale, left, top, out):
                             at = first[i] + 2 * ((iy + ky) * wide + ix + kx)
                             ink += w * pool[at]
                             halo += w * pool[at + 1]
-                out[y, x, 0] = max(out[y, x, 0], np.uint8(ink * opacity[i]))
-                out[y, x, 1] = max(out[y, x, 1], np.uint8(halo * opacity[i]))
+                row, col = y - top, x - left
+                out[row, col, 0] = max(out[row, col, 0], np.uint8(ink * opacity[i]))
+                out[row, col, 1] = max(out[row, col, 1], np.uint8(halo * opacity[i]))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.geovis.water import level_in
 from orograph.rendering.lines.smooth import interpolated
 from orograph.store.terrain import Terrain, level_shape
 
@@ -55,6 +56,7 @@ class Spots:
         lines: (n, POINTS, 2) easting and northing along the line through each; the spot is the middle one.
         heights: of their contours, metres. slopes: (n, 2) of the ground there, metres per metre east and north.
         bends: how far lines go aside, as a part of their length. level: of the block.
+        shores: (n,) whether level ground of height 0 is beside it, the sea.
     """
 
     lines: Array
@@ -62,6 +64,7 @@ class Spots:
     slopes: Array
     bends: Array
     level: int
+    shores: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.heights)
@@ -69,7 +72,7 @@ class Spots:
 
 def none(level: int) -> Spots:
     """No spots."""
-    return Spots(np.zeros((0, POINTS, 2)), np.zeros(0), np.zeros((0, 2)), np.zeros(0), level)
+    return Spots(np.zeros((0, POINTS, 2)), np.zeros(0), np.zeros((0, 2)), np.zeros(0), level, np.zeros(0, bool))
 
 
 def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spots:
@@ -112,9 +115,25 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
     to_world = np.linalg.inv(linear)
     x, y = terrain.grid.xy(lines[..., 0] * 2.0**level, lines[..., 1] * 2.0**level)
     keep = np.isfinite(slope).all(-1)
+    shores = values == 0
+    shores[shores] = _by_the_sea(terrain, level, middle[shores])
     return Spots(
-        np.stack([x, y], -1)[keep], values[keep], (slope @ to_world)[keep], np.array([f[1] for f in found])[keep], level
-    )
+        np.stack([x, y], -1)[keep], values[keep], (slope @ to_world)[keep], np.array([f[1] for f in found])[keep],
+        level, shores[keep],
+    )  # fmt: skip
+
+
+def _by_the_sea(terrain: Terrain, level: int, at: Array) -> NDArray[np.bool_]:
+    """Whether a sample within two of (column, row) (n, 2) of a level is 0 like all around it."""
+    if not len(at):
+        return np.zeros(0, bool)
+    at = np.rint(at * 2.0 ** min(level, 0)).astype(np.intp)  # between samples, of the raster's own
+    rows, cols = shape_of(terrain, max(level, 0))
+    (c0, r0), (c1, r1) = np.maximum(at.min(0) - 3, 0), np.minimum(at.max(0) + 4, [cols, rows])
+    heights = read(terrain, max(level, 0), r0, r1, c0, c1).astype(np.float32)
+    sea = np.pad(level_in(heights, heights == 0), 2)
+    col, row = (at - [c0, r0]).T
+    return np.asarray(np.logical_or.reduce([sea[row + i, col + j] for i in range(5) for j in range(5)]))
 
 
 def _straight(line: Array, linear: Array, spacing: float, core: tuple[Array, Array]) -> list[tuple[Array, float]]:

@@ -98,6 +98,7 @@ class Placer:
         slopes = np.concatenate([s.slopes for s in found])
         bends = np.concatenate([s.bends for s in found])
         levels = np.concatenate([np.full(len(s), s.level) for s in found])
+        bare = np.concatenate([s.shores for s in found]) & (scene.data.water is not None)  # the sea's edge is no line
         lines = np.concatenate([lines, np.broadcast_to(heights[:, None, None], (*lines.shape[:2], 1))], -1)
         middle = lines[:, POINTS // 2]
         pixels, depth = view.project(middle, scene.surface.exaggeration)
@@ -107,7 +108,7 @@ class Placer:
         with np.errstate(invalid="ignore", divide="ignore"):
             inside = (pixels > margin).all(-1) & (pixels < [view.width - margin, view.height - margin]).all(-1)
             per_sample = spacing / (size * large)
-            keep = inside & (depth > view.near) & (per_sample > 0.9 * FARTHEST)
+            keep = inside & ~bare & (depth > view.near) & (per_sample > 0.9 * FARTHEST)
         kept = np.flatnonzero(keep)
         if not len(kept):
             return NOTHING

@@ -54,7 +54,8 @@ class Letters:
         if contours is None or not contours.labels or contours.step <= 0:
             self._labels, self._wish, self.view, self.state = NOTHING, None, None, None
             return False
-        key = self._wish = scene.view.whole, scene.surface.exaggeration, scene.surface.tolerance, contours, id(mesh)
+        surface, dry = scene.surface, scene.data.water is None
+        key = self._wish = scene.view.whole, surface.exaggeration, surface.tolerance, contours, dry, id(mesh)
         drawn = None if mesh is None else partial(mesh_heights, mesh)
         if wait:
             if self._aside.done != key:
