@@ -16,6 +16,7 @@ from orograph._lanes import (
     load,
     most,
     real,
+    scatter,
     size,
     some,
     spread,
@@ -82,6 +83,21 @@ def looked_up(pool, x, stride, out):
     store(out, 32, gather(pool, i * 2 + 1))
     store(out, 40, real(i >> 1))
     store(out, 48, where((i & 1) == 0, 1.0, 0.0))
+
+
+@kernel
+def scattered(pool, places, out):
+    i = load(places, 0)
+    scatter(out, i, gather(pool, i + 1))
+
+
+def test_scattered_elements_of_64_bits() -> None:
+    pool, places = np.linspace(0.1, 4.1, 41), np.array([33, 2, 7, 7, 0, 12, 39, 5])
+    out = np.zeros(41)
+    scattered(pool, places, out)
+    expected = np.zeros(41)
+    expected[places] = pool[places + 1]
+    assert_same(out, [expected])
 
 
 def test_arithmetic() -> None:

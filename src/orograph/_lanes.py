@@ -233,17 +233,32 @@ def real(typing: Any, values: Any) -> Any:
 
 @operation
 def gather(typing: Any, array: Any, index: Any) -> Any:
-    """Elements of a flat float32 array, as floats."""
+    """Elements of a flat array of float32 or float64, as floats."""
+    single = array.dtype == types.float32
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(array)(context, builder, args[0]).data
-        found = ir.Constant(ir.VectorType(ir.FloatType(), LANES), ir.Undefined)
+        found = ir.Constant(ir.VectorType(data.type.pointee, LANES), ir.Undefined)
         for k in range(LANES):
             place = builder.gep(data, [builder.extract_element(args[1], _at(k))])
-            found = builder.insert_element(found, builder.load(place, align=4), _at(k))
-        return builder.fpext(found, ir.VectorType(ir.DoubleType(), LANES))
+            found = builder.insert_element(found, builder.load(place, align=4 if single else 8), _at(k))
+        return builder.fpext(found, ir.VectorType(ir.DoubleType(), LANES)) if single else found
 
     return FLOATS(array, index), lowered
+
+
+@operation
+def scatter(typing: Any, array: Any, index: Any, values: Any) -> Any:
+    """Write numbers into elements of a flat array of their kind; of several for one element, the last stays."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        data = context.make_array(array)(context, builder, args[0]).data
+        for k in range(LANES):
+            place = builder.gep(data, [builder.extract_element(args[1], _at(k))])
+            builder.store(builder.extract_element(args[2], _at(k)), place, align=8)
+        return context.get_dummy_value()
+
+    return types.void(array, index, values), lowered
 
 
 @operation
@@ -278,13 +293,13 @@ def _picked(builder: Any, a: Any, b: Any, order: range) -> Any:
 
 @operation
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """Eight elements of a flat float64 array from ``index`` on."""
+    """Eight elements of a flat array of float64 or int64 from ``index`` on."""
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         place = _place(context, builder, array, args, sig)
         return builder.load(place, align=8)
 
-    return FLOATS(array, index), lowered
+    return (FLOATS if array.dtype == types.float64 else INTS)(array, index), lowered
 
 
 @operation

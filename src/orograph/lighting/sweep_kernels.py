@@ -18,6 +18,9 @@ A sample's view of its own cell, up to one step, comes from the surface (``cell_
 there by as much as cells are rough. So lines give the *far* horizon: if the next point of a line is the highest visible
 one, its far horizon is that point's own horizon, the next one on the hull.
 
+Eight lines are swept side by side (``sweep_hulls``). Where lines run along diagonals, every other one meets the middles
+of cells, and takes twice as many points; so the eight are every other line of a group.
+
 Positions are counted in steps from the light's end of the line; heights are metres, float64.
 """
 
@@ -26,21 +29,27 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orograph._lanes import LANES, counted, gather, load, real, scatter, some, store, where, whole
 from orograph._numba import inlined, kernel
-from orograph.lighting.own_cell import cell_slope
-from orograph.lighting.sweep_profiles import F32, F64, I64, Swath, fill
-
-I32 = NDArray[np.int32]
-
-PAGE = 32
-"""Points in a page of the stacks' pool."""
-GROUP = 16
-"""Lines swept together: as many as a cache line has samples, so that sweeps across memory use all of it."""
-
-_LOW = PAGE - 1
-_SHIFT = PAGE.bit_length() - 1
+from orograph.lighting.own_cell import OwnCell
+from orograph.lighting.sweep_hulls import (
+    PAGE,
+    ROW,
+    Stacks,
+    Working,
+    added,
+    deepen,
+    emptied,
+    highest,
+    keep,
+    pop,
+    profiles,
+    push,
+    uncovered,
+)
+from orograph.lighting.sweep_profiles import F64, GROUP, I64, Swath, fill, middles, sample_of
+from orograph.lighting.sweep_samples import Target, horizons_of
 
 
 class Course(NamedTuple):
@@ -58,227 +67,122 @@ class Course(NamedTuple):
     bend: float
 
 
-class Stacks(NamedTuple):
-    """The hulls of lines, in pages of one pool.
-
-    Attributes:
-        top: (1 + lines,) the place of the nearest point of each line's hull, −1: none; first of the line before the
-            first.
-        position, height: (pages · PAGE,) of the points. link: (pages,) the place of the point behind a page's first.
-        free: (1 + pages,) the number of free pages, and which they are.
-    """
-
-    top: I64
-    position: I32
-    height: F64
-    link: I64
-    free: I64
-
-
-class Target(NamedTuple):
-    """The output of horizons: ``values`` (samples,), with strides from lane to lane and from step to step."""
-
-    values: F32
-    lane: int
-    step: int
-
-
-def working(steps: int) -> tuple[F64, F32]:
-    """Profiles and slopes of a group of lines, for ``sweep_lines``.
-
-    A cache line is added to each row, because rows a power of two apart would share cache sets.
-    """
-    return np.empty((GROUP, steps + 8)), np.zeros((GROUP + 1, steps + 16), np.float32)
-
-
 @kernel
 def _unlimited(
-    profile: F64, first: int, last: int, course: Course, own: float, line: int, stacks: Stacks, slope: F32
+    work: Working, b: int, both: bool, first: int, last: int, course: Course, cell: OwnCell, line: int, stacks: Stacks
 ) -> None:
-    """Far horizon slopes of one line's steps [first, last), beyond ``own`` steps.
+    """Far horizon slopes of steps [first, last) of eight lines of a group, b, b + ``points``, …, into ``slope``.
 
-    Its stack continues from ``top[line]`` and is left there. There must be enough free pages.
+    Their stacks continue from ``top[line]``, … and are left there. There must be enough free pages. The points of this
+    band wait in ``hull``, behind them two of the stack's. Where there is none, a point infinitely low hides nothing.
+
+    Args:
+        both: whether the lines have two points in each step; otherwise, one is left out.
     """
+    profile, hull, slope = work.profile, work.hull, work.slope
     backward, origin, scale, lowest, bend = course
-    top, position, height, link, free = stacks
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
-    t = top[line]  # slot of the nearest point of the hull, u of the one behind it; -1: none
-    u = np.int64(-1)
-    x1 = z1 = x2 = z2 = 0.0
-    if t >= 0:
-        x1, z1 = np.float64(position[t]), height[t]
-        u = t - 1 if t & _LOW else link[t >> _SHIFT]
-        if u >= 0:
-            x2, z2 = np.float64(position[u]), height[u]
+    apart, lane = cell.points, whole(counted())
+    for k in range(LANES):
+        at, work.places[k] = line + k * apart, k
+        stacks.top[at], hull[k], hull[LANES + k] = pop(stacks, stacks.top[at])
+    deepen(work, line, apart, stacks)
+    n = load(work.places, 0)
+    x1, z1, x2, z2 = load(hull, ROW), load(hull, ROW + LANES), load(hull, 0), load(hull, LANES)
     i, ahead = (last - 1, -1) if backward else (first, 1)
     for _ in range(last - first):
-        z = profile[i]
-        if z == z:
-            x = np.float64(origin - i if backward else origin + i)
-            z -= drop * x * x
-            # The top lies below the line from here to the one behind it: it is hidden from now on.
-            while u >= 0 and (z1 - z) * (x1 - x2) <= (z2 - z1) * (x - x1):
-                if not t & _LOW:
-                    free[0] += 1
-                    free[free[0]] = t >> _SHIFT
-                t, x1, z1 = u, x2, z2
-                u = t - 1 if t & _LOW else link[t >> _SHIFT]
-                if u >= 0:
-                    x2, z2 = np.float64(position[u]), height[u]
-            s = lowest
-            if t >= 0 and x - x1 > own:
-                s = max((z1 - z) * scale / (x - x1) - x * turn, lowest)
-            elif u >= 0:
-                s = max((z2 - z) * scale / (x - x2) - x * turn, lowest)
-            slope[i] = s
-            u, x2, z2 = t, x1, z1
-            t += 1
-            if u < 0 or not t & _LOW:
-                page = free[free[0]]
-                free[0] -= 1
-                link[page] = u
-                t = page << _SHIFT
-            position[t], height[t] = np.int32(x), z
-            x1, z1 = x, z
+        k = sample_of(i, cell)
+        x = np.float64(origin + ahead * k)
+        z = profiles(profile, apart, lane, k * GROUP + b) - drop * x * x
+        if both:
+            y = x - 1.0
+            m = profiles(profile, apart, lane, (k - ahead) * GROUP + b) - drop * y * y
+            # A point below the line from the sample to the hull would be removed at once.
+            m = where((m - z) * (y - x1) <= (z1 - m) * (x - y), np.nan, m)
+            there = m == m
+            if some(there):
+                n, x1, z1, x2, z2 = uncovered(work, hull, line, apart, stacks, n, x1, z1, x2, z2, y, m)
+                n, x1, z1, x2, z2 = added(hull, there, n, x1, z1, x2, z2, y, m)
+        n, x1, z1, x2, z2 = uncovered(work, hull, line, apart, stacks, n, x1, z1, x2, z2, x, z)
+        far = x - x1 > cell.reach
+        s = (where(far, z1, z2) - z) * scale / (x - where(far, x1, x2)) - x * turn
+        keep(slope, apart, lane, i * (GROUP + 1) + b + 1, where(s > lowest, s, lowest))
+        n, x1, z1, x2, z2 = added(hull, z == z, n, x1, z1, x2, z2, x, z)
         i += ahead
-    top[line] = t
+    store(work.places, 0, n)
+    for first in range(LANES):
+        at = line + first * apart
+        t = stacks.top[at]
+        for k in range(first, work.places[first] + 1, ROW):
+            if hull[k + LANES] > -np.inf:
+                t = push(stacks, t, hull[k], hull[k + LANES])
+        stacks.top[at] = t
 
 
 @kernel
 def _limited(
-    profile: F64, first: int, last: int, course: Course, own: float, reach: int, near: F64, end: F64, undo: F64,
-    slope: F32,
+    work: Working, b: int, both: bool, steps: int, course: Course, cell: OwnCell, reach: int, end: F64, undo: F64,
+    nothing: Stacks,
 ) -> None:  # fmt: skip
-    """Far horizon slopes of one line's steps [first, last) among the points within ``reach`` steps.
+    """Like ``_unlimited``, for all steps, among the points within ``reach`` points.
 
-    Positions begin at a multiple of ``reach``. ``near`` and ``end`` (reach, 2) are stacks of (position, height);
-    ``undo`` (reach, 4) is the change by each insertion into ``end``: its place (-1: none), the old content, and the
-    size.
-    """
-    backward, origin, scale, lowest, bend = course
-    drop, turn = 0.5 * bend / (scale * scale), bend / scale
-    step = -1 if backward else 1
-    x_first = origin - (last - 1) if backward else origin + first
-    x_last = x_first + (last - first)
-    ends = 0  # size of ``end``: the hull of the rest of the last block
-    for j in range(reach):
-        undo[j, 0] = -1.0
-    for begin in range(x_first, x_last, reach):
-        stop = min(begin + reach, x_last)
-        nears = 0
-        for at in range(begin, stop):
-            if at > begin:  # the farthest point goes out of reach
-                j = at - begin - 1
-                k = int(undo[j, 0])
-                if k >= 0:
-                    ends = int(undo[j, 3])
-                    end[k, 0], end[k, 1] = undo[j, 1], undo[j, 2]
-            i = (at - origin) * step
-            z = profile[i]
-            if z != z:
-                continue
-            x = np.float64(at)
-            z -= drop * x * x
-            while nears >= 2 and (near[nears - 1, 1] - z) * (near[nears - 1, 0] - near[nears - 2, 0]) <= (
-                near[nears - 2, 1] - near[nears - 1, 1]
-            ) * (x - near[nears - 1, 0]):
-                nears -= 1
-            s = lowest
-            k = nears - 1
-            if k >= 0 and x - near[k, 0] <= own:
-                k -= 1
-            if k >= 0:
-                s = max((near[k, 1] - z) * scale / (x - near[k, 0]) - x * turn, lowest)
-            if ends > 0:  # slopes rise along the hull up to the tangent, and fall behind it
-                low, high = 0, ends - 1
-                while low < high:
-                    mid = (low + high) >> 1
-                    if (end[mid, 1] - z) * (x - end[mid + 1, 0]) < (end[mid + 1, 1] - z) * (x - end[mid, 0]):
-                        low = mid + 1
-                    else:
-                        high = mid
-                if x - end[low, 0] <= own:
-                    low += 1
-                if low < ends:
-                    s = max((end[low, 1] - z) * scale / (x - end[low, 0]) - x * turn, s)
-            slope[i] = s
-            near[nears, 0], near[nears, 1] = x, z
-            nears += 1
-        if stop == x_last:
-            return
-        ends = 0
-        for j in range(reach):
-            undo[j, 0] = -1.0
-        for at in range(stop - 1, begin - 1, -1):
-            z = profile[(at - origin) * step]
-            if z != z:
-                continue
-            x = np.float64(at)
-            z -= drop * x * x
-            before = ends
-            while ends >= 2 and (end[ends - 1, 1] - z) * (end[ends - 2, 0] - end[ends - 1, 0]) <= (
-                end[ends - 2, 1] - end[ends - 1, 1]
-            ) * (end[ends - 1, 0] - x):
-                ends -= 1
-            j = at - begin
-            undo[j, 0], undo[j, 1], undo[j, 2], undo[j, 3] = ends, end[ends, 0], end[ends, 1], before
-            end[ends, 0], end[ends, 1] = x, z
-            ends += 1
-
-
-@inlined
-def _horizon(heights, k, ahead, aside, odd, cell, one, other, f):  # type: ignore[no-untyped-def]
-    """The horizon of sample k: of its own cell, or the lines on both sides beyond theirs; NaN at NaN.
+    Positions begin at a multiple of ``reach``.
 
     Args:
-        ahead, aside: offsets to the sample one step towards the light, and to that at its side; 0: none.
-        one, other: the lines' horizons. f: the second one's share.
+        end: ((reach + 3) · ROW,) the hulls of the rest of the last block, in the form of ``hull``, behind two points
+            that are not there. Its last row is for what nothing reads.
+        undo: (reach · 4 · LANES,) the change by each insertion into ``end``: its place (-1: none), the old position
+            and height there, and the place of the last point before.
+        nothing: empty stacks.
     """
-    nan = np.float32(np.nan)
-    z, near = heights[k], nan
-    if ahead != 0:
-        both, minor = (heights[k + ahead + aside], heights[k + aside]) if aside != 0 else (nan, nan)
-        near = cell_slope(z, heights[k + ahead], both, minor, odd, cell)
-    a = near if near > one else one
-    b = near if near > other else other
-    v = a * (np.float32(1.0) - f) + b * f if f > 0 else a
-    return v if z == z else nan
-
-
-@kernel
-def _scatter(
-    values: F32, swath: Swath, begin: int, lines: int, first: int, last: int, skip: int, target: Target
-) -> None:
-    """Horizons of samples from values (1 + lines, steps · ``cell.points``), of lines begin − 1 …, and own cells.
-
-    NaN where heights are. ``skip`` steps of the heights have no place in the target.
-    """
-    heights, start, lanes, shift, part, cell = (
-        swath.heights, swath.start, swath.lanes, swath.shift, swath.part, swath.cell,
-    )  # fmt: skip
-    lane_stride, step_stride, out_lane, out = swath.lane, swath.step, target.lane, target.values
-    for i in range(first, last):
-        lane0, f = begin + shift[i], part[i]
-        b0, b1 = max(-lane0, 0), min(lanes - lane0, lines)
-        ahead = 0 if cell.reach == 0.0 or i == cell.edge else cell.toward * step_stride
-        # Lanes with a neighbour to the side.
-        s0 = min(max(b0, 1 - lane0), b1) if cell.side < 0 else b0
-        s1 = max(min(b1, lanes - 1 - lane0), s0) if cell.side > 0 else b1
-        base, place = start + lane0 * lane_stride + i * step_stride, lane0 * out_lane + (i - skip) * target.step
-        k = i if cell.points == 1 else 2 * i + (1 if cell.toward < 0 else 0)
-        aside, odd = cell.side * lane_stride, cell.odd + lane0 + i
-        for b in range(b0, s0):
-            out[place + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
-            )
-        for b in range(s0, s1):
-            out[place + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, aside, odd + b, cell, values[b + 1, k], values[b, k], f
-            )
-        for b in range(s1, b1):
-            out[place + b * out_lane] = _horizon(
-                heights, base + b * lane_stride, ahead, 0, odd + b, cell, values[b + 1, k], values[b, k], f
-            )
+    profile, hull, slope = work.profile, work.hull, work.slope
+    backward, origin, scale, lowest, bend = course
+    drop, turn = 0.5 * bend / (scale * scale), bend / scale
+    apart, own, lane = cell.points, cell.reach, whole(counted())
+    direction = -1 if backward else 1
+    x_first = origin - (apart * steps - 1) if backward else origin
+    x_last = x_first + apart * steps
+    # Samples are the last points in their steps.
+    stride = 1 if both else apart
+    ends, x1, z1, x2, z2 = emptied(end, lane)
+    for begin in range(x_first, x_last, reach):
+        stop = min(begin + reach, x_last)
+        n, x1, z1, x2, z2 = emptied(hull, lane)
+        for at in range(begin + stride - 1, stop, stride):
+            u = 4 * LANES * (at - begin - stride)
+            if begin > x_first and u >= 0:  # the farthest point goes out of reach
+                place = load(undo, u)
+                had = place >= 0.0
+                ends = where(had, whole(load(undo, u + 3 * LANES)), ends)
+                k = where(had, whole(place), lane + (reach + 2) * ROW)
+                scatter(end, k, load(undo, u + LANES))
+                scatter(end, k + LANES, load(undo, u + 2 * LANES))
+            i, x = (at - origin) * direction, np.float64(at)
+            z = profiles(profile, apart, lane, i * GROUP + b) - drop * x * x
+            n, x1, z1, x2, z2 = uncovered(work, hull, 0, 1, nothing, n, x1, z1, x2, z2, x, z)
+            if (at - x_first) % apart == apart - 1:
+                far = x - x1 > own
+                s = (where(far, z1, z2) - z) * scale / (x - where(far, x1, x2)) - x * turn
+                s = where(s > lowest, s, lowest)
+                y, m, seen = highest(end, ends, lane, x, z, own)
+                m = (m - z) * scale / (x - y) - x * turn
+                s = where(seen & (m > s), m, s)
+                keep(slope, apart, lane, i // apart * (GROUP + 1) + b + 1, s)
+            n, x1, z1, x2, z2 = added(hull, z == z, n, x1, z1, x2, z2, x, z)
+        if stop == x_last:
+            return
+        ends, x1, z1, x2, z2 = emptied(end, lane)
+        for at in range(stop - 1, begin + stride - 2, -stride):
+            x = np.float64(at)
+            z = profiles(profile, apart, lane, (at - origin) * direction * GROUP + b) - drop * x * x
+            there, before = z == z, ends
+            ends, x1, z1, x2, z2 = uncovered(work, end, 0, 1, nothing, ends, x1, z1, x2, z2, 0.0 - x, z)
+            u, k = 4 * LANES * (at - begin), ends + ROW
+            store(undo, u, where(there, real(k), -1.0))
+            store(undo, u + LANES, gather(end, k))
+            store(undo, u + 2 * LANES, gather(end, k + LANES))
+            store(undo, u + 3 * LANES, real(before))
+            ends, x1, z1, x2, z2 = added(end, there, ends, x1, z1, x2, z2, 0.0 - x, z)
 
 
 @kernel
@@ -294,70 +198,68 @@ def _range(shift: I64, lanes: int, line0: int, lines: int) -> tuple[int, int]:
 
 @kernel
 def sweep_lines(
-    swath: Swath, course: Course, line0: int, lines: int, begin: int, stacks: Stacks, profile: F64, slope: F32,
-    target: Target,
-) -> int:  # fmt: skip
+    swath: Swath, course: Course, line0: int, lines: int, begin: int, stacks: Stacks, work: Working, target: Target
+) -> int:
     """Sweep a band of ``len(shift)`` steps, without a radius, for the samples of ``lines`` lines from ``line0``.
 
-    Samples lie on or just before these lines; every sample belongs to one line. ``profile`` and ``slope`` are
-    ``working(steps)``; the latter keeps a line's slopes from one group to the next.
+    Samples lie on or just before these lines; every sample belongs to one line. ``lines`` is a multiple of GROUP.
+    ``work`` is ``working(steps, points)`` for at least as many; it keeps a line's slopes from one group to the next.
 
     Returns:
         the number of finished lines; fewer than ``lines`` if the pool has too few free pages to continue: call again
-        with
-        ``begin`` set to it.
+        with ``begin`` set to it.
     """
-    shift, lanes, own = swath.shift, swath.lanes, swath.cell.reach
-    steps, points = len(shift), swath.cell.points
-    finer = _finer(course, points)
-    enough = (GROUP + 1) * (points * steps // PAGE + 2)
+    shift, lanes, cell = swath.shift, swath.lanes, swath.cell
+    finer = _finer(course, cell.points)
+    enough = (GROUP + 1) * (cell.points * len(shift) // PAGE + 2)
     while begin < lines:
         if stacks.free[0] < enough:
             return begin
-        count = min(GROUP, lines - begin)
         if begin == 0:
             first, last = _range(shift, lanes, line0 - 1, 1)
-            fill(swath, line0 - 1, 1, first, last, profile)
-            _unlimited(profile[0], points * first, points * last, finer, own, 0, stacks, slope[0])
-        first, last = _range(shift, lanes, line0 + begin, count)
-        fill(swath, line0 + begin, count, first, last, profile)
-        for b in range(count):
-            _unlimited(profile[b], points * first, points * last, finer, own, begin + b + 1, stacks, slope[b + 1])
-        _scatter(slope, swath, line0 + begin, count, first, last, 0, target)
-        for i in range(points * first, points * last):
-            slope[0, i] = slope[count, i]
-        begin += count
+            # The line before the first is only used for interpolation.
+            fill(swath, line0 - 1, 1, first, last, work.profile)
+            _unlimited(work, 0, middles(swath, line0 - 1), first, last, finer, cell, 0, stacks)
+            for i in range(first, last):
+                work.slope[i, 0] = work.slope[i, 1]
+        first, last = _range(shift, lanes, line0 + begin, GROUP)
+        fill(swath, line0 + begin, GROUP, first, last, work.profile)
+        for half in range(2):
+            b = half * LANES if cell.points == 1 else half
+            _unlimited(work, b, middles(swath, line0 + begin + b), first, last, finer, cell, begin + b + 1, stacks)
+        horizons_of(work.slope, swath, line0 + begin, first, last, 0, work.found, target)
+        begin += GROUP
     return begin
 
 
 @kernel
 def sweep_windows(
-    swath: Swath, course: Course, line0: int, lines: int, reach: int, skip: int, own: int, target: Target
+    swath: Swath, course: Course, line0: int, lines: int, reach: int, skip: int, own: int, work: Working, target: Target
 ) -> None:
     """Like ``sweep_lines``, but only among points within ``reach`` steps, for steps [skip, skip + own) of the band."""
-    steps, points = len(swath.shift), swath.cell.points
-    finer = _finer(course, points)
-    reach *= points
-    # Rows a power of two apart would share cache sets.
-    profile = np.empty((GROUP, points * steps + 8), np.float64)
-    slope = np.zeros((GROUP + 1, points * steps + 16), np.float32)
-    near, end, undo = np.empty((reach, 2)), np.empty((reach, 2)), np.empty((reach, 4))
-    for begin in range(-1, lines, GROUP):
-        count = min(GROUP, lines - begin)
-        first, last = _range(swath.shift, swath.lanes, line0 + begin, count)
+    steps, cell = len(swath.shift), swath.cell
+    finer = _finer(course, cell.points)
+    reach *= cell.points
+    end, undo = np.empty((reach + 3) * ROW), np.empty(reach * 4 * LANES)
+    nothing = Stacks(
+        np.full(LANES, -1), np.empty(0, np.int32), np.empty(0), np.empty(0, np.int64), np.zeros(1, np.int64)
+    )
+    # Blocks of ``reach`` points begin where the band does, or at the raster's border: lines are swept from there on.
+    # The line before the first is only used for interpolation.
+    fill(swath, line0 - 1, 1, 0, steps, work.profile)
+    _limited(work, 0, middles(swath, line0 - 1), steps, finer, cell, reach, end, undo, nothing)
+    for i in range(steps):
+        work.slope[i, 0] = work.slope[i, 1]
+    for begin in range(0, lines, GROUP):
+        first, last = _range(swath.shift, swath.lanes, line0 + begin, GROUP)
         if first == last:
             continue
-        first, last = 0, steps  # blocks of ``reach`` points begin where the band does, or at the raster's border
-        fill(swath, line0 + begin, count, first, last, profile)
-        for b in range(count):
-            _limited(
-                profile[b], points * first, points * last, finer, swath.cell.reach, reach, near, end, undo,
-                slope[b + 1],
-            )  # fmt: skip
-        # The very first line is only used for interpolation.
-        a = 1 if begin < 0 else 0
-        _scatter(slope[a:], swath, line0 + begin + a, count - a, skip, skip + own, skip, target)
-        slope[0] = slope[count]
+        fill(swath, line0 + begin, GROUP, 0, steps, work.profile)
+        for half in range(2):
+            b = half * LANES if cell.points == 1 else half
+            both = middles(swath, line0 + begin + b)
+            _limited(work, b, both, steps, finer, cell, reach, end, undo, nothing)
+        horizons_of(work.slope, swath, line0 + begin, skip, skip + own, skip, work.found, target)
 
 
 @inlined

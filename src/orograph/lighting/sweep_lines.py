@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orograph.folders import scratch
 from orograph.lighting.own_cell import OwnCell
-from orograph.lighting.sweep_kernels import PAGE, Stacks
+from orograph.lighting.sweep_hulls import PAGE, Stacks
 
 T = TypeVar("T")
 

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from orograph._numba import kernel
 from orograph.lighting.sweep import Block, blocks_of, fold, passes_of
-from orograph.lighting.sweep_kernels import I32, PAGE
+from orograph.lighting.sweep_hulls import I32, PAGE
 from orograph.lighting.sweep_lines import Lines
 from orograph.lighting.sweep_pass import Pass, Read, Terms, Values, pitch, reach_of
 from orograph.lighting.sweep_profiles import F64, I64

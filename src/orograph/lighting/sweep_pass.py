@@ -16,17 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
-from orograph.lighting.sweep_kernels import (
-    GROUP,
-    PAGE,
-    Course,
-    Target,
-    sweep_lines,
-    sweep_windows,
-    working,
-)
+from orograph.lighting.sweep_hulls import PAGE, Working, working
+from orograph.lighting.sweep_kernels import Course, sweep_lines, sweep_windows
 from orograph.lighting.sweep_lines import Lines, Pool, taken
-from orograph.lighting.sweep_profiles import Swath
+from orograph.lighting.sweep_profiles import GROUP, Swath, turn
+from orograph.lighting.sweep_samples import Target
 
 Values = NDArray[np.float32]
 Read = Callable[[int, int, int, int], Values]
@@ -62,8 +56,8 @@ class Strip:
     """Heights of a band for sweeping.
 
     Attributes:
-        flat: rows one after the other.
-        wide: samples from one row to the next.
+        flat: steps one after the other, neighbouring lanes side by side.
+        wide: samples from one step to the next.
         first: their first step.
         space: their memory, to be reused; None: the reader's own.
     """
@@ -119,14 +113,14 @@ class Pass:
         reach = 0 if radius is None else max(max(int(radius * a.scale + 1e-9), 1) for a in group)
         reach = min(reach, self.steps)
         # A third of the memory is for bands' heights and slopes, a third for stacks; the rest is for the caller.
-        third, step = memory // 3, 4 * self.pitch(self.lanes)
+        third, step = memory // 3, 4 * pitch(self.lanes)
 
         points = max(a.points for a in group)
 
         def needed(width: int, count: int, strips: int = 3) -> int:
             halo = min(2 * reach, self.steps)
             # Heights of a band and of the next, read and copied; slopes of a band and of the one before.
-            own = jobs * 12 * points * (GROUP + 1) * (width + halo)
+            own = jobs * (9 * points + 8) * (GROUP + 1) * (width + halo)
             return step * ((width + halo) * strips + 2 * count * width) + own
 
         width = band or min(max(_BAND, reach, _CACHE // (2 * step * len(group)) // _BAND * _BAND), self.steps)
@@ -155,13 +149,13 @@ class Pass:
         self.samples = count * min(width, self.steps) * self.pitch(self.lanes)
         # Shares of the lines, counted from line 0: small enough that all threads get some.
         share = -(-self.lanes * count // (16 * jobs))
-        self.share = min(max(4 * GROUP, share + -share % GROUP), 512)
+        self.share = min(max(8 * GROUP, share + -share % GROUP), 512)
         self.pools: dict[tuple[int, int], Pool] = {}
         self._spare: list[Pool] = []
-        self._rows: list[tuple[NDArray[np.float64], Values]] = []
+        self._working: list[Working] = []
 
     def pitch(self, cols: int) -> int:
-        """Samples from one row of heights or slopes to the next; columns are swept along rows, one after the other."""
+        """Samples from one row of slopes to the next."""
         return cols if self.by_columns else pitch(cols)
 
     def begin(self, spare: list[Pool]) -> None:
@@ -185,20 +179,26 @@ class Pass:
         else:
             first = max(first - 1, 0)
         heights = read(*self.window(first, last))
+        if heights.dtype != np.float32 or heights.strides[1] != 4 or heights.strides[0] < 4 * heights.shape[1]:
+            heights = np.ascontiguousarray(heights, np.float32)
         rows, cols = heights.shape
-        wide, stride = self.pitch(cols), heights.strides[0] // 4
-        apart = self.by_columns or stride % _CLASH or len(self.lines) == 1
-        in_rows = heights.dtype == np.float32 and heights.strides[1] == 4 and heights.strides[0] >= 4 * cols
-        if apart and in_rows and not self.below:
-            span = (rows - 1) * stride + cols
-            flat = np.lib.stride_tricks.as_strided(heights, (span,), (4,), writeable=False)
+        stride = heights.strides[0] // 4
+        flat = np.lib.stride_tricks.as_strided(heights, ((rows - 1) * stride + cols,), (4,), writeable=False)
+        if (stride % _CLASH or len(self.lines) == 1) and not self.by_columns and not self.below:
             return Strip(flat, stride, first, None)
-        space = taken(spaces, lambda: aligned(rows * wide))
-        if len(space) < rows * wide:
-            space = aligned(rows * wide)
-        flat = space[: rows * wide]
-        (np.negative if self.below else np.positive)(heights, out=flat.reshape(rows, wide)[:, :cols])
-        flat = flat.view()
+        count, lanes = (cols, rows) if self.by_columns else (rows, cols)
+        wide = pitch(lanes)
+        space = taken(spaces, lambda: aligned(count * wide))
+        if len(space) < count * wide:
+            space = aligned(count * wide)
+        steps = space[: count * wide].reshape(count, wide)[:, :lanes]
+        if self.by_columns:
+            turn(flat, stride, rows, cols, space, wide)
+        else:
+            steps[:] = heights
+        if self.below:
+            np.negative(steps, out=steps)
+        flat = space[: count * wide].view()
         flat.flags.writeable = False  # read-only, like heights that are not copied, so that kernels are compiled once
         return Strip(flat, wide, first, space)
 
@@ -230,21 +230,20 @@ class Pass:
                 del self.pools[key]
         on_disk = sum(p.size for p in list(self.pools.values())) > self.stacks
         place = {a.index: k for k, a in enumerate(self.lines)}
-        longest = max(end - begin for begin, end in self.bands) * max(a.points for a in self.lines)
+        longest, points = max(end - begin for begin, end in self.bands), max(a.points for a in self.lines)
 
         def run(a: Lines, s: int) -> None:
             pool = self.pools.get((a.index, s)) or self.pool()
-            rows = taken(self._rows, lambda: working(longest))
-            profile, slope = rows
+            memory = taken(self._working, lambda: working(longest, points))
             swath, course = self._swath(strip, a, s0, s1), self._course(a, s0)
             target = self._target(slopes[place[a.index]])
             done = 0
             while True:
-                done = sweep_lines(swath, course, s * self.share, self.share, done, pool.stacks, profile, slope, target)
+                done = sweep_lines(swath, course, s * self.share, self.share, done, pool.stacks, memory, target)
                 if done >= self.share:
                     break
                 pool.grow((GROUP + 1) * (a.points * width // PAGE + 2) + (0 if last else self.share), on_disk)
-            self._rows.append(rows)
+            self._working.append(memory)
             if last:
                 self.pools.pop((a.index, s), None)
                 if not pool.release:
@@ -263,9 +262,8 @@ class Pass:
         return pool
 
     def _swath(self, strip: Strip, a: Lines, s0: int, s1: int) -> Swath:
-        lane, step = (strip.wide, 1) if self.by_columns else (1, strip.wide)
         return Swath(
-            strip.flat, (s0 - strip.first) * step, lane, step, self.lanes, a.shift[s0:s1], a.part[s0:s1],
+            strip.flat, (s0 - strip.first) * strip.wide, strip.wide, self.lanes, a.shift[s0:s1], a.part[s0:s1],
             a.own_cell(s0, self.curvature),
         )  # fmt: skip
 
@@ -286,7 +284,8 @@ class Pass:
                 sweep_windows, self._swath(strip, a, h0, h1), self._course(a, h0), lines=self.share, reach=reach,
                 skip=s0 - h0, own=s1 - s0, target=self._target(slopes[k]),
             )  # fmt: skip
-            work += [(a, s, partial(_at_line, sweep, s * self.share)) for _, s in self._shares(s0, s1, [a])]
+            steps = h1 - h0, a.points
+            work += [(a, s, partial(_at_line, sweep, s * self.share, *steps)) for _, s in self._shares(s0, s1, [a])]
         return work
 
 
@@ -301,5 +300,5 @@ def reach_of(a: Lines, radius: float, s0: int, s1: int) -> tuple[int, int, int]:
     return reach, *((s0, a.steps - begin) if a.backward else (begin, s1))
 
 
-def _at_line(sweep: Callable[..., None], line0: int) -> None:
-    sweep(line0=line0)
+def _at_line(sweep: Callable[..., None], line0: int, steps: int, points: int) -> None:
+    sweep(line0=line0, work=working(steps, points))
