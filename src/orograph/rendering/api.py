@@ -13,6 +13,7 @@ from collections.abc import Iterable, Mapping
 from functools import partial
 from typing import Any, Literal, Unpack, cast
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.geovis.layers import layers_of
 from orograph.lod.options import Described
@@ -55,6 +56,7 @@ FLAGS = {one.key.replace("-", "_"): one.name for one in OPTIONS.values() if one.
 """Names of options on the command line or in other tools, and here."""
 
 
+@answering
 def render(
     terrain: Any,
     view: View | str | os.PathLike[str] | None = None,

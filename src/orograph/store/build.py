@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
+from orograph._named import answering
 from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
@@ -97,6 +98,7 @@ def build(
 def build(source: Any, url: Path_, *, part: str | tuple[int, int] | None, **options: Any) -> StoredTerrain | None: ...
 
 
+@answering
 def build(
     source: Any,
     url: Path_,

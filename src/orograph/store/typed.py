@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, TypedDict
 
+from orograph._named import simple
 from orograph.dem.undulation import Direction
 
 
@@ -19,7 +20,7 @@ class Reading(TypedDict, total=False):
     clip: Any
     band: int | None
     nodata: float | str | None
-    spacing: float | str | None
+    spacing: float | None
     assume_crs: str | None
     encoding: str | None
     vertical_unit: str | None
@@ -31,3 +32,7 @@ class Reading(TypedDict, total=False):
     transform: Any
     name: str | None
     skip_damaged: bool | None
+
+
+KINDS = simple({name: one.__forward_arg__ for name, one in Reading.__annotations__.items()})
+"""Those that are a number or a switch."""

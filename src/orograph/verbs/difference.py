@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import answering
 from orograph.cards import Row, extent_rows, one_line
 from orograph.dem.aligned import Aligned, shared
 from orograph.dem.resample import METHODS
@@ -221,6 +222,7 @@ class Difference:
         return of_mosaic(Mosaic([self._ground]), progress=progress, **how)
 
 
+@answering
 def difference(
     a: Any, b: Any, output: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None, *,
     onto: Onto = "first", resampling: str = "bilinear", quantiles: Numbers = QUANTILES, limit: float | None = None,

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.rendering.api import check_names
@@ -32,6 +33,7 @@ from orograph.verbs.ways import WAY, check_passage, parsed_path, settle_tour, to
 from orograph.viewpoint import View
 
 
+@answering
 def movie(
     terrain: Any,
     output: str | os.PathLike[str],
