@@ -61,7 +61,7 @@ def run(*args: Any) -> str:
 NOT_HERE = {
     # What is about files and screens, which functions return or take themselves.
     "": {"paths", "path", "output", "as_json", "json_path", "picture", "outputs"},
-    "render": {"depth", "save_view", "workers", "dask", "sort_last"},  # (workers draw into a file: ``rendering.tiles``)
+    "render": {"save_view"},
     "build": {"dem", "store", "repair", "products", "methods", "color_errors", "drape"},
     "compare": {"every", "method"},
     "movie": {"tour_path"},

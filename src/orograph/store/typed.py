@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
 from orograph._named import simple
-from orograph.dem.undulation import Direction
+
+if TYPE_CHECKING:
+    from orograph.dem.undulation import Direction
 
 
 class Reading(TypedDict, total=False):

@@ -138,7 +138,8 @@ class Difference:
             Map(shown[None], self.grid, self._map().bands[:1]).save(file)
             data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name=name)
             how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
-            return render(self._relief(heard, options), view, data=[data], progress=heard, **how)
+            picture: Picture = render(self._relief(heard, options), view, data=[data], progress=heard, **how)
+            return picture
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it: .tif, a Cloud Optimized GeoTIFF in metres; .png, .jpg or .webp, the picture of ``render``.
