@@ -26,6 +26,7 @@ MEANT = {
     **dict.fromkeys(("units",), "unit"),
     **dict.fromkeys(("error", "sigma", "std"), "uncertainty"),
     **dict.fromkeys(("cellsize", "cell_size", "pixel_size", "cell"), "spacing"),
+    **dict.fromkeys(("method", "for_"), "methods"),
     "eye": "eye_height",
     "target": "target_height",
     "flat": "curvature",

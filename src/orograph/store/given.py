@@ -53,12 +53,6 @@ READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF
 """All options of reading heights."""
 
 
-NEEDS = (
-    "What methods need is stored by errors=, tins=, chunked= and quadtin= (`help(orograph.build)`); what a store lacks "
-    "is made when a method needs it."
-)
-
-
 def is_dataset(thing: Any) -> bool:
     """Whether something is a rasterio dataset (``dem.datasets``), without importing the reader."""
     if "rasterio" not in sys.modules:
@@ -250,8 +244,7 @@ def check_names(options: Any, called: str) -> None:
             own = getattr(sys.modules["orograph"], called, None)  # (only to report an error)
             known = inspect.signature(own).parameters if callable(own) else ()
             names = [one for one in known if one not in ("options", "reading")]
-            way = NEEDS if called == "build" and name in ("method", "methods", "for_") else ""
-            raise UsageError(f"{called} has no option {name!r}.", remedy=way or remedy(name, [*names, *READING]))
+            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
     check_simple(KINDS, options.items())
 
 
