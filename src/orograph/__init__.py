@@ -37,11 +37,12 @@ if TYPE_CHECKING:
     from orograph.scene.contours import Contours
     from orograph.scene.ghosts import Ghost
     from orograph.scene.silhouettes import Silhouettes
-    from orograph.store import Terrain, build, open, terrain
+    from orograph.store import Terrain, open, terrain
     from orograph.store.publishing import publish
     from orograph.tessellation import Tessellation
     from orograph.touring.tour import Tour
     from orograph.verbs.best_view import best_view
+    from orograph.verbs.build import build
     from orograph.verbs.check import check
     from orograph.verbs.compare import compare
     from orograph.verbs.contours import contours
@@ -129,7 +130,7 @@ _HOMES = {
     "bake": "orograph.lighting.bake",
     "basemap": "orograph.geovis.layers",
     "best_view": "orograph.verbs.best_view",
-    "build": "orograph.store",
+    "build": "orograph.verbs.build",
     "camera": "orograph.scene.camera:",
     "check": "orograph.verbs.check",
     "compare": "orograph.verbs.compare",

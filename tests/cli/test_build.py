@@ -243,7 +243,7 @@ def test_color_errors_are_stored_and_used(tmp_path, monkeypatch):
         file.write(np.random.default_rng(1).integers(0, 255, (3, size[1], size[0]), dtype=np.uint8))
     path = str(tmp_path / "a.oro")
     refused = CliRunner().invoke(command, [str(dem), "-o", path, "--drape", str(drape)], obj={"quiet": True})
-    assert refused.exit_code != 0 and "--color-errors" in str(refused.exception)
+    assert refused.exit_code != 0 and "`color_errors`" in str(refused.exception)
     given = [str(dem), "-o", path, "--color-errors", "--drape", str(drape), "--json"]
     ran = CliRunner().invoke(command, given, obj={"quiet": True})
     assert ran.exit_code == 0, ran.output

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import hills, holes, terrain
 
+import orograph
 from orograph.errors import UsageError
 from orograph.hierarchy.clip_stack import Rectangle
 from orograph.progress import SILENT
@@ -23,6 +25,7 @@ from orograph.rendering.gbuffer import GBuffer
 from orograph.rendering.large import draw_large
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
+from orograph.rendering.ways import Way
 from orograph.scene import camera
 from orograph.scene.scene import Scene
 from orograph.store.clusters import Cluster
@@ -206,13 +209,31 @@ def test_pictures_are_those_of_one_process(casting, options):
     assert made.cluster.imbalance() >= 1 and made.cluster.moved > 0
 
 
+def test_render_gives_a_picture(casting, monkeypatch, tmp_path):
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path))
+    land = ground(300, 420)
+    view = camera.around(land, SIZE, azimuth=215, pitch=18, distance=5000)
+
+    @contextmanager
+    def by_parts(scene, **_):
+        made = casting(scene)
+        yield draw.session(made), made.cluster
+
+    monkeypatch.setattr(sort_last, "by_parts", by_parts)
+    one = orograph.render(land, view, samples=1, max_memory=16 << 20)
+    many = orograph.render(land, view, samples=1, max_memory=16 << 20, workers=3, sort_last=True)
+    assert np.abs(one.pixels.astype(int) - many.pixels.astype(int)).max() <= 1
+    np.testing.assert_allclose(many.depth, one.depth, rtol=1e-6)
+    assert many.facts["moved_bytes"] > 0 and not list(tmp_path.iterdir())
+
+
 @pytest.mark.stress
 def test_a_real_cluster(tmp_path):
     pytest.importorskip("distributed")
     land = ground(300, 420)
     scene = Scene.of(land, camera.around(land, SIZE, azimuth=215, pitch=18, distance=5000), furniture=True)
     draw_large(scene, tmp_path / "one.png")
-    facts = sort_last.draw_by_parts(scene, tmp_path / "a.png", workers=2, progress=SILENT)
+    facts = Way(workers=2, sort_last=True).into(scene, tmp_path / "a.png", SILENT)
     from PIL import Image
 
     one, two = (np.asarray(Image.open(tmp_path / name)).astype(int) for name in ("one.png", "a.png"))

@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import hills, holes, terrain
 
+import orograph
 from orograph.errors import StoreError, UsageError
 from orograph.progress import SILENT
 from orograph.rendering import large, tiles
@@ -87,6 +88,61 @@ def test_the_bytes_of_one_process(tmp_path, ending, by_workers):
         np.testing.assert_array_equal(a.read(1), b.read(1))
     assert told["shown"] == facts["shown"] and told["imbalance"] == 1.25
     assert sorted(f.name for f in tmp_path.iterdir()) == sorted([f"a.{ending}", "depth.tif", "one"])
+
+
+@pytest.mark.parametrize("plan", [True, False])
+def test_render_has_workers(tmp_path, by_workers, monkeypatch, plan):
+    """The same picture as from one process, in memory and as a file; nothing is left beside it."""
+    monkeypatch.setenv("OROGRAPH_CACHE", str(tmp_path / "cache"))
+    land, how = ground(), {"samples": 1, "furniture": plan}
+    view = (
+        camera.plan(land, (161, 97)) if plan else camera.around(land, (161, 97), azimuth=215, pitch=22, distance=3500)
+    )
+    one = orograph.render(land, view, **how)
+    many = orograph.render(land, view, **how, workers=2)
+    np.testing.assert_array_equal(many.pixels, one.pixels)
+    np.testing.assert_array_equal(many.depth, one.depth)
+    assert (many.grid, many.crs, many.attribution) == (one.grid, one.crs, one.attribution)
+    assert many.tint is not None and repr(many.tint) == repr(one.tint)
+    assert many.facts["shown"] == one.facts["shown"] and many.facts["imbalance"] == 1.25
+    file = orograph.render(land, view, **how, workers=2, output=tmp_path / "a.tif", depth=tmp_path / "d.tif")
+    with rasterio.open(file) as pixels, rasterio.open(tmp_path / "d.tif") as depth:
+        np.testing.assert_array_equal(pixels.read().transpose(1, 2, 0), one.pixels)
+        np.testing.assert_array_equal(depth.read(1), one.depth)
+    assert {path.name for path in tmp_path.iterdir()} == {"a.tif", "d.tif", "cache"}
+    assert not list((tmp_path / "cache").iterdir())
+
+
+def test_render_writes_files(tmp_path):
+    """At once, and in bands if the picture takes too much memory: the same pixels."""
+    land = ground()
+    how = {"view": camera.whole(land, SIZE), "samples": 1}
+    small = orograph.render(land, output=tmp_path / "a.png", **how)
+    bands = orograph.render(land, output=tmp_path / "b.png", max_memory=8 << 20, **how)
+    orograph.render(land, **how).save(tmp_path / "c.png")
+    assert (small, bands) == (tmp_path / "a.png", tmp_path / "b.png")
+    assert small.read_bytes() == (tmp_path / "c.png").read_bytes()
+    with rasterio.open(small) as a, rasterio.open(bands) as b:
+        np.testing.assert_array_equal(a.read(), b.read())
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"depth": "d.tif"}, "`depth` is a file beside `output`"),
+        ({"output": "a.tif", "depth": "d.png"}, "saved as a TIFF"),
+        ({"output": "a.xyz"}, "a.xyz"),
+        ({"output": "a.tif", "depth": "d.tif", "each": "view"}, "`each` makes several"),
+        ({"workers": 2, "each": "view"}, "Panels are drawn by this process"),
+        ({"workers": 2, "dask": "tcp://there:8786"}, "exclude each other"),
+        ({"sort_last": True}, "`sort_last` needs workers"),
+        ({"sort_last": True, "workers": 2, "backend": "gpu"}, "draws on the CPU"),
+        ({"workers": 0}, "at least one worker"),
+    ],
+)
+def test_render_refuses_what_makes_no_sense(wrong, words):
+    with pytest.raises(UsageError, match=words):
+        orograph.render(ground(), size=SIZE, **wrong)
 
 
 @pytest.mark.stress

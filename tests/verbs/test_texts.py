@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import inspect
+import re
+from collections.abc import Iterator
 from typing import Any
 
 import click
@@ -15,7 +17,9 @@ from orograph.cli import cli
 from orograph.cli.options import Bytes, Classes, Nodata, Numbers
 from orograph.errors import OrographError, UsageError
 from orograph.folders import bytes_of
+from orograph.lighting.context import MORE, Options
 from orograph.measuring import HeightError
+from orograph.scene.parts import OPTIONS
 from orograph.scene.sizes import dpi_of, size_of
 from orograph.several import numbers, words
 
@@ -54,6 +58,8 @@ def given(dem, tmp_path_factory):
         "name": "slope", "url": folder / "new.oro", "output": folder / "out.tif", "path": folder / "none.tif",
         "area": (0, 0, 1, 1), "target": [(500_700.0, 3_999_400.0)], "point": (500_700.0, 3_999_400.0), "level": 480.0,
         "error": HeightError(sigma=1), "eye": (-116.9, 36.1, 900.0), "look_at": None, "tolerance": 1,
+        "files": folder / "none.tif", "polygon": None, "zones": None, "points": [], "view": None, "polyline": [],
+        "size": (64, 48),
     }  # fmt: skip
 
 
@@ -76,6 +82,56 @@ def test_texts_are_read_and_wrong_ones_refused_by_the_options_name(given, name, 
     annotation = str(inspect.signature(one).parameters[option].annotation)
     scene = name == "render" and option == "max_memory"  # (its type is the scene's own field)
     assert scene or "Amount" in annotation or "Size" in annotation, f"{name}: {option}: {annotation}"
+
+
+def single() -> Iterator[tuple[str, str, str]]:
+    """Every argument that is one number or one switch: the function, the argument, and what it must be."""
+    light = {name: str(one.annotation) for name, one in inspect.signature(Options).parameters.items()} | MORE
+    scene = {one.name: one.annotation for one in OPTIONS.values() if one.read is None}
+    for name, one in functions().items():
+        types = {option: str(about.annotation) for option, about in inspect.signature(one).parameters.items()}
+        types |= {"light": light, "bake": light, "view": scene, "movie": scene}.get(name, {})
+        if "reading" in types:
+            types |= {"spacing": "float", "skip_damaged": "bool"}
+        for option, annotation in types.items():
+            kind = re.fullmatch(r"(int|float|bool)( \| None)?", annotation)
+            if kind is not None and option not in ("band", *AMOUNTS):  # (a band's name is answered with its number)
+                what = {"int": "a whole number", "float": "a number", "bool": "(True or False|yes or no)"}[kind[1]]
+                yield name, option, what
+
+
+@pytest.mark.parametrize(("name", "option", "what"), [*single()])
+def test_a_text_in_place_of_a_number_is_refused_by_the_options_name(given, name, option, what):
+    more = {"light": {"name": "slope"}, "movie": {"output": "film.mp4"}, "tin": {"max_error": 5},
+            "manifest": {"path": "a.manifest.geojsonl"}}.get(name, {})  # fmt: skip
+    with pytest.raises(UsageError, match=rf"`{option}` must be {what}.*, not '500'"):
+        called(functions()[name], given, **{**more, option: "500"})
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda dem: orograph.tin(dem, True), "`max_error` must be a number, or none, not True"),
+        (lambda dem: orograph.tin(dem, triangles=50.5), "`triangles` must be a whole number, or none, not 50.5"),
+        (lambda dem: orograph.synth(seed=None), "`seed` must be a whole number, not None"),
+        (lambda dem: orograph.contours(dem, [10]), "`interval` must be a number, or none, not \\[10\\]"),
+        (lambda dem: orograph.Layer("a.png", opacity="half"), "`opacity` must be a number"),
+        (lambda dem: orograph.best_view(dem, [(500_700.0, 3_999_400.0)], azimuths="north"), "`azimuths` must be"),
+        (lambda dem: orograph.light(dem.heights, "slope", cell="wide"), "A cell must be .* not 'wide'"),
+        (lambda dem: orograph.synth(exemplar=dem, size=40, jitter="much"), "`jitter` must be .* not 'much'"),
+        (lambda dem: orograph.measure.pick(dem, orograph.camera.whole(dem), ("a", 3)), "two finite numbers"),
+        (lambda dem: orograph.read("none.tif", band=1.5), "There is no such file"),
+    ],
+)
+def test_what_is_no_number_is_refused(dem, call, said):
+    with pytest.raises(OrographError, match=said):
+        call(dem)
+
+
+def test_numbers_may_be_numpys(dem):
+    whole, half = np.int64(40), np.float32(0.5)
+    assert len(orograph.tin(dem, triangles=whole, progress=False).triangles) <= 40
+    assert orograph.synth(size=33, seed=np.array(3), roughness=half).heights.shape == (33, 33)
 
 
 @pytest.mark.parametrize("name", ["export", "tin", "light", "terrain", "measure.viewshed", "build", "tour"])

@@ -61,8 +61,8 @@ def run(*args: Any) -> str:
 NOT_HERE = {
     # What is about files and screens, which functions return or take themselves.
     "": {"paths", "path", "output", "as_json", "json_path", "picture", "outputs"},
-    "render": {"depth", "save_view", "workers", "dask", "sort_last"},  # (workers draw into a file: ``rendering.tiles``)
-    "build": {"dem", "store", "repair", "products", "methods", "color_errors", "drape"},
+    "render": {"save_view"},
+    "build": {"dem", "store", "repair"},
     "compare": {"every", "method"},
     "movie": {"tour_path"},
     "light": {"products", "byte", "resume"},
@@ -147,6 +147,28 @@ def test_doctor_and_check(dem: orograph.Dem, tmp_path: Path) -> None:
     data[len(data) // 2] ^= 255
     victim.write_bytes(data)
     assert len(orograph.check(tmp_path / "a.oro")) == 1
+
+
+def test_build_completes_a_store(path: Path, tmp_path: Path) -> None:
+    """As the command line does: the same bytes."""
+    orograph.build(
+        path, tmp_path / "own.oro", methods=["roam,error=wedgie", "chunked-lod,cells=16"], products="openness",
+        color_errors=True, tins=8, progress=False,
+    )  # fmt: skip
+    run("build", path, "-o", tmp_path / "cli.oro", "--for", "roam,error=wedgie", "--for", "chunked-lod,cells=16",
+        "--bake", "openness", "--color-errors", "--tins", 8)  # fmt: skip
+    own, cli_ = ({file.relative_to(tmp_path / name): file.read_bytes() for file in (tmp_path / name).rglob("*")
+                  if file.is_file()} for name in ("own.oro", "cli.oro"))  # fmt: skip
+    assert own == cli_
+    with orograph.open(tmp_path / "own.oro") as store:
+        assert {"exact", "wedgie"} <= set(store.errors) and tuple(store.layers) == ("openness",)
+    for wrong, words in (
+        ({"drape": "a.png"}, "`drape` is only used"), ({"methods": "sore"}, "soar"), ({"products": "slope"}, "baked"),
+        ({"methods": "bdam,legs=4", "tins": 8}, "TINs of one kind"),
+        ({"part": "1/2", "products": "openness"}, "heights"), ({"for_": "soar"}, "called methods here"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            orograph.build(path, tmp_path / "no.oro", **wrong)
 
 
 def test_synth(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ import click
 
 from orograph.cli.build_types import ErrorKinds, MaxError
 from orograph.cli.memory import megabytes, peak_memory
-from orograph.cli.needed import needed_by
 from orograph.cli.options import (
     FILE,
     Float,
@@ -204,18 +203,12 @@ def command(
     from orograph.store.addresses import storage_at
     from orograph.store.build import build
     from orograph.store.given import source_of
+    from orograph.verbs.build import check_completing
+    from orograph.verbs.needed import Needed, needed_by
 
-    if drape is not None and not color_errors:
-        raise UsageError("--drape is only used with --color-errors.", remedy="Give --color-errors too.")
-    if products:
-        from orograph.lighting.bake import check
-
-        check(products)
+    check_completing(products or (), color_errors, drape, part)
     progress = progress_of(ctx)
-    needed = needed_by(methods, progress, tins)
-    errors = (*errors, *(kind for kind in needed.errors if kind not in errors))
-    if part is not None and (products or color_errors):
-        raise UsageError("--part makes heights only.", remedy="Give --bake and --color-errors with --finish.")
+    needed = needed_by(methods, progress, Needed(errors, None if tins is None else int(tins)))
     started = time.perf_counter()
     source = source_of(dem, progress, **options)
     try:
@@ -228,10 +221,7 @@ def command(
             keep=keep,
             max_memory=max_memory,
             jobs=jobs,
-            errors=errors,
-            tins=needed.tins,
-            chunked=needed.chunked,
-            quadtin=needed.quadtin,
+            **needed._asdict(),
             keep_source=keep_source,
             codec=codec,
             max_error=max_error,

@@ -15,7 +15,6 @@ from orograph.cli.files import check_outputs
 from orograph.cli.options import (
     FILE,
     Float,
-    check_sort_last,
     cluster_options,
     jobs_option,
     memory_option,
@@ -113,7 +112,7 @@ def command(
     )
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
-        from orograph.rendering.backends import session
+        from orograph.rendering.backends import check_sort_last, session
         from orograph.rendering.memory import check_memory
         from orograph.store.prepare import prepare
         from orograph.touring import Tour
@@ -125,7 +124,7 @@ def command(
     # Report errors of the command line before any work is done.
     check_movie(output, options["size"], crf)
     by = By.of(workers, dask, part, finish)
-    check_sort_last(sort_last, workers is not None or dask is not None, options["backend"])
+    check_sort_last(sort_last, workers, dask, options["backend"])
     if overwrite and not is_numbered(output):
         progress.warn("--overwrite applies to pictures: a finished film replaces an existing file anyway.")
     if tour_path is not None:

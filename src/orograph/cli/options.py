@@ -325,14 +325,6 @@ def sort_last_option(first: str) -> Callable[[F], F]:
     )
 
 
-def check_sort_last(wanted: bool, together: bool, backend: str) -> None:
-    """Raise UsageError if sort-last is requested without workers, or with another backend."""
-    if wanted and not together:
-        raise UsageError("--sort-last needs workers.", remedy="Give --workers or --dask.")
-    if wanted and backend != "cpu":
-        raise UsageError("--sort-last draws on the CPU.", remedy="Leave out --backend.")
-
-
 def progress_of(ctx: click.Context) -> LineProgress:
     """The progress line of this run: silent with ``--quiet``; warnings are collected by the verb in any case."""
     from orograph.cli.progress import LineProgress

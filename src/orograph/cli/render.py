@@ -15,7 +15,6 @@ from orograph.cli.camera import CAMERA, PLACES, camera_options, camera_view, che
 from orograph.cli.files import check_ending, check_outputs
 from orograph.cli.options import (
     FILE,
-    check_sort_last,
     cluster_options,
     jobs_option,
     memory_option,
@@ -102,14 +101,11 @@ def command(
         from orograph.errors import DamagedChunkError, NothingInViewError
         from orograph.folders import cache_folder
         from orograph.output import check_folder
-        from orograph.rendering.backends import draw, session
-        from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
-        from orograph.rendering.memory import band_pixels, check_memory
+        from orograph.rendering.memory import check_memory
         from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
-        from orograph.rendering.sort_last import draw_by_parts
         from orograph.rendering.standing import with_room
-        from orograph.rendering.tiles import draw_by_workers
+        from orograph.rendering.ways import Way
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
 
@@ -118,50 +114,23 @@ def command(
     for file in filter(None, (output, depth, save_view)):
         check_folder(Path(file))
     said = ctx.get_parameter_source("max_memory") is not ParameterSource.DEFAULT
+    allowed = max_memory if said else None
 
-    together = workers is not None or dask is not None
-    if together and each:
+    dpi = dpi_of(options["size"])
+    way = Way(options["backend"], workers, dask, sort_last)
+    if way.together and each:
         raise UsageError("Panels are drawn by this process: --each cannot be combined with --workers or --dask.")
-    check_sort_last(sort_last, together, options["backend"])
-    gpu, dpi = options["backend"] == "gpu", dpi_of(options["size"])
-
-    def by_bands(size: tuple[int, int]) -> bool:
-        """Whether a picture is drawn in bands; raises UsageError if it is not and does not fit into memory."""
-        if together:
-            check_most(size)
-            return True
-        if (gpu or not options["wireframe"]) and is_large(size, max_memory, gpu=gpu):
-            return True
-        check_memory(size, max_memory if said else None)
-        return False
-
-    if options["size"] is not None:
-        by_bands(options["size"])
+    if options["size"] is not None and not way.in_tiles(options["size"], max_memory, options["wireframe"]):
+        check_memory(options["size"], allowed)
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     view = camera_view(terrain, options if each is None else {**options, "furniture": False})
-    large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
     if each is None and is_fitted(options):
         scene = with_room(scene, partial(camera_view, terrain, options, keys=scene.keys))
         view = scene.view
     try:
-        if sort_last:
-            facts = draw_by_parts(
-                scene, output, workers=workers, dask=dask, depth=depth, jobs=jobs, max_memory=max_memory, dpi=dpi,
-                progress=progress,
-            )  # fmt: skip
-        elif together:
-            facts = draw_by_workers(
-                scene, output, workers=workers, dask=dask, depth=depth, backend=options["backend"], jobs=jobs,
-                max_memory=max_memory, dpi=dpi, progress=progress,
-            )  # fmt: skip
-        elif large:
-            draws = session(progress, backend=options["backend"])
-            facts = draw_large(
-                scene, output, depth=depth, draw=draws, across=ACROSS if gpu else None, progress=progress,
-                pixels=band_pixels(max_memory, gpu=gpu), dpi=dpi,
-            )  # fmt: skip
-        elif each is not None:
+        if each is not None:
+            check_memory((view.width, view.height), allowed)
             budget = {"max_memory": max_memory, "jobs": jobs}
 
             def again(size: tuple[int, int], also: Any = None) -> View:
@@ -171,10 +140,10 @@ def command(
                 terrain, view, each, {**given_of(options), **budget}, backend=options["backend"],
                 again=again if is_fitted(options) else None, progress=progress,
             )  # fmt: skip
+            picture.save(output, dpi=dpi)
             facts, view = picture.facts, picture.view
         else:
-            picture = draw(scene, progress, backend=options["backend"])
-            facts = picture.facts
+            facts = way.into(scene, output, progress, depth=depth, dpi=dpi, max_memory=allowed)
     except DamagedChunkError as error:
         if error.path is not None and Path(error.path).parent == cache_folder():
             error.remedy = "It is a cached copy: delete it, and the next picture builds it again."
@@ -183,10 +152,6 @@ def command(
         if error.remedy == LEAVE_CAMERA and not any(options[name] is not None for name in PLACES):
             error.remedy = "Check what the file holds with orograph info."
         raise
-    if not large:
-        picture.save(output, dpi=dpi)
-        if depth:
-            picture.save_depth(depth)
     if save_view:
         view.save(save_view)
     seconds = time.perf_counter() - began
@@ -202,5 +167,5 @@ def command(
     else:
         stats = facts.get("mesh")
         mesh = f"  {stats['method']}: {stats['triangles']:,} triangles" if stats else ""
-        uneven = f"  (busiest worker {facts['imbalance']:.2f} × the mean)" if together else ""
+        uneven = f"  (busiest worker {facts['imbalance']:.2f} × the mean)" if way.together else ""
         click.echo(f"{output}  {view.width} × {view.height}{mesh}  {seconds:.1f} s{uneven}")

@@ -35,6 +35,7 @@ from orograph.dem.target import MAX_SIDE, parse_crs
 from orograph.errors import ReadError, UsageError
 from orograph.geo.grid import Grid
 from orograph.progress import SILENT, Progress
+from orograph.several import Numbers, numbers
 
 LONG = 10
 """Triangle sides this many times the median are worth a warning."""
@@ -84,7 +85,7 @@ class PointRaster:
     @classmethod
     def open(
         cls, path: str | os.PathLike[str], *, progress: Progress = SILENT, crs: str | CRS | None = None,
-        resolution: float | None = None, max_edge: float | None = None, height_column: str | None = None,
+        resolution: Numbers | None = None, max_edge: Numbers | None = None, height_column: str | None = None,
         point_layer: str | None = None, point_classes: Sequence[int] | None = None, assume_crs: Any = None,
         vertical_unit: str | None = None, assume_vertical: str | None = None,
     ) -> PointRaster:  # fmt: skip
@@ -101,13 +102,14 @@ class PointRaster:
         Raises:
             ReadError, UsageError: as ``read_scattered``; too few points, all on one line, or none left to count.
         """
+        resolution, max_edge = _length(resolution, "resolution"), _length(max_edge, "max_edge")
         with progress.task("Reading points"):
             points = read_scattered(
                 path, height_column=height_column, point_layer=point_layer, point_classes=point_classes,
                 assume_crs=assume_crs, vertical_unit=vertical_unit, assume_vertical=assume_vertical,
             )  # fmt: skip
         with progress.task("Triangulating points"):
-            made = cls(points, crs=crs, resolution=resolution, max_edge=None if max_edge is None else float(max_edge))
+            made = cls(points, crs=crs, resolution=resolution, max_edge=max_edge)
         made._options = {
             "crs": _name(crs), "resolution": resolution, "max_edge": "inf" if max_edge == math.inf else max_edge,
             "height_column": height_column, "point_layer": point_layer,
@@ -247,6 +249,11 @@ def in_plane(points: Scattered, wanted: CRS | None) -> tuple[Array, Array, CRS |
 def _usual(spacing: float, points: Scattered) -> float:
     """A distance rounded to two digits."""
     return float(f"{spacing:.2g}") if spacing > 0 else 1.0
+
+
+def _length(given: Numbers | None, called: str) -> float | None:
+    """A length as users give it."""
+    return None if given is None else numbers(given, called)[0]
 
 
 def _grid(x: Array, y: Array, resolution: float, crs: CRS | None, path: str) -> Grid:

@@ -13,6 +13,7 @@ number of threads, and fit to the bit. Units: samples for positions, metres for 
 from __future__ import annotations
 
 import math
+import operator
 import os
 import re
 import threading
@@ -74,12 +75,12 @@ class Synth:
         if not (math.isfinite(self.relief) and self.relief > 0):
             raise UsageError(f"The relief must be a height in metres, not {relief}.")
         self.grid = Grid(shape, Affine(spacing, 0, origin[0], 0, -spacing, origin[1]), crs or CRS.from_epsg(32633))
-        self.name, self.vertical, self.seed = f"synth {seed}", None, seed
+        self.name, self.vertical, self.seed = f"synth {seed}", None, operator.index(seed)
         self.roughness, self.spacing = float(roughness), float(spacing)
         side = math.sqrt(rows * cols)
         self.levels = max(0, min(3, math.floor(math.log2(side / 200))), math.ceil(math.log2(side / CARVED)))
         self.quantum = 2.0 ** math.floor(math.log2(spacing / 4000))
-        self._salt = (seed * 0x9E3779B97F4A7C15 + 0x1234567) & 0x7FFFFFFF
+        self._salt = (self.seed * 0x9E3779B97F4A7C15 + 0x1234567) & 0x7FFFFFFF
         self._carved: Floats | None = None
         self._lock = threading.Lock()
 

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import answering
 from orograph.cards import extent_rows, one_line
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
@@ -117,6 +118,7 @@ class Map:
         return laid_out(self.values, self.grid, None, attrs).assign_coords(band=[band.name for band in self.bands])
 
 
+@answering
 def make(
     data: Any,
     name: str | Sequence[str] = "",
@@ -183,7 +185,10 @@ def make(
 
 
 def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64]:
-    size = np.asarray(cell, np.float64)
+    try:
+        size = np.asarray(cell, np.float64)
+    except (TypeError, ValueError):
+        size = np.empty(0)
     if size.shape == (2, 2):
         return size
     if size.shape not in ((), (2,)) or not (size > 0).all():

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args, overload
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.lighting.bake_folder import (
@@ -134,6 +135,7 @@ def bake(
 ) -> StoredTerrain | None: ...  # fmt: skip
 
 
+@answering
 def bake(
     store: Store,
     names: Sequence[str] | str,

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import check_simple, named, simple
 from orograph.errors import UsageError
 from orograph.parallel import map_ordered, threads_for
 from orograph.progress import SILENT, Progress
@@ -34,8 +35,11 @@ if TYPE_CHECKING:
 Values = NDArray[np.float32]
 Blocks = Iterator[tuple[int, int, Values]]
 
-MORE = ("rho", "method", "seed", "cones", "strips", "diameter", "date", "step", "turbidity")
-"""Options of single products."""
+MORE = {
+    "rho": "Rho", "method": "str", "seed": "int", "cones": "int", "strips": "int", "diameter": "float", "date": "str",
+    "step": "float", "turbidity": "float",
+}  # fmt: skip
+"""Options of single products, with their types."""
 
 REFRACTION = 0.13
 """Usual coefficient of refraction over the Earth's ground in surveying (Gauss)."""
@@ -60,6 +64,7 @@ def weighted(lights: Iterable[Numbers]) -> tuple[tuple[float, ...], ...]:
     return tuple((*light, 1.0) if len(light) == 2 else light for light in given)
 
 
+@named("A product of light")
 @dataclass(frozen=True, slots=True)
 class Options:
     """Options of products; each uses those that apply to it.
@@ -114,7 +119,8 @@ class Options:
         return cls(**{k: v for k, v in given.items() if k in known}, more=more)
 
     def __post_init__(self) -> None:
-        if not _number(self.azimuths, above=2.0) or self.azimuths != int(self.azimuths):
+        check_simple(simple(MORE), self.more.items())
+        if self.azimuths < 3:
             raise UsageError(f"At least three azimuths are needed, not {self.azimuths}.")
         if self.radius is not None and not _number(self.radius, above=0.0):
             raise UsageError(f"The radius must be a positive number of metres, not {self.radius!r}.")

@@ -107,7 +107,10 @@ def pick(
         return place(terrain, view, lonlat=lonlat)
     if pixel is None:
         raise UsageError("A camera needs a pixel of its picture.", remedy="Give a point instead, or the pixel, too.")
-    px, py = (float(v) for v in pixel)
+    try:
+        px, py = (float(v) for v in pixel)
+    except (TypeError, ValueError):
+        px = py = math.nan
     if not (math.isfinite(px) and math.isfinite(py)):
         raise UsageError(f"A pixel must be two finite numbers, not {pixel!r}.")
     if not (exaggeration > 0 and math.isfinite(exaggeration)):

@@ -22,6 +22,14 @@ Session = Callable[[Scene], Picture]
 """Draws scene after scene of one terrain, and makes shared data only once."""
 
 
+def check_sort_last(wanted: bool, workers: int | None, dask: Any, backend: str) -> None:
+    """Raise UsageError if workers are to draw parts of the terrain, but there are none, or another backend draws."""
+    if wanted and workers is None and dask is None:
+        raise UsageError("`sort_last` needs workers.", remedy="Give `workers` or `dask`.")
+    if wanted and backend != "cpu":
+        raise UsageError("`sort_last` draws on the CPU.", remedy="Leave out `backend`.")
+
+
 class Draw(Protocol):
     """Draws a scene; further arguments belong to the backend."""
 

@@ -13,15 +13,17 @@ import os
 import shutil
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import OutputError, UsageError
+from orograph.folders import cache_folder
 from orograph.geovis.layers import drawn as visible
 from orograph.output import check_folder
 from orograph.parallel import aside, threads_for
@@ -30,7 +32,7 @@ from orograph.rendering.assembly import Assembly, Raster
 from orograph.rendering.backends import Session, session
 from orograph.rendering.memory import BYTES_PER_PIXEL, amount, band_pixels
 from orograph.rendering.metadata import check_dpi
-from orograph.rendering.picture import picture_format, plan_grid
+from orograph.rendering.picture import Picture, picture_format, plan_grid
 from orograph.scene.scene import Scene
 
 ROWS, COLUMNS = 16, 64
@@ -121,20 +123,7 @@ def draw_large(
         if depth is not None:
             files.append(stack.enter_context(Assembly(Path(depth), view.width, view.height, depth=True, place=place)))
         sheet = Sheet(scene, files, session(progress) if draw is None else draw, progress)
-        if by is not None:
-            by(sheet, progress)
-        else:
-            with progress.task("Drawing", total=view.width * view.height) as task:
-                for box in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
-                    tile = draw_tile(scene, box, sheet.session)
-                    rasters: list[Raster] = [tile.pixels, tile.depth]
-                    for file, raster in zip(files, rasters, strict=False):
-                        file.write(*box[:2], raster)
-                    sheet.add(box, seen(scene, box, tile))
-                    task.advance(box[2] * box[3])
-        facts = sheet.facts()
-        if scene.annotations.furniture:
-            sheet.furnish(facts)
+        facts = sheet.fill(by or partial(in_bands, pixels=pixels, across=across))
         for file in files:
             with progress.task(f"Writing {file.out.name}"):
                 aside(partial(file.encode, "TIFF" if file.depth else kind, scene.attribution, dpi,
@@ -142,8 +131,54 @@ def draw_large(
     return {**facts, "seconds": {"all": round(time.perf_counter() - began, 4)}}
 
 
+def draw_apart(
+    scene: Scene, folder: Path, *, draw: Session, progress: Progress = SILENT, pixels: int | None = None,
+    by: Callable[[Sheet, Progress], None] | None = None,
+) -> Picture:  # fmt: skip
+    """Draw a scene in tiles, as ``draw_large`` does, and put them together in memory.
+
+    Args:
+        folder: where the tiles lie until then. The others: as of ``draw_large``.
+    """
+    began, view, terrain = time.perf_counter(), scene.view, scene.terrain
+    place = plan_grid(view, terrain.grid.crs)
+    whole = 0, 0, view.width, view.height
+    with (
+        Assembly(folder / "pixels.tif", view.width, view.height) as colours,
+        Assembly(folder / "depth.tif", view.width, view.height, depth=True) as depths,
+    ):
+        sheet = Sheet(scene, [colours, depths], draw, progress)
+        facts = sheet.fill(by or partial(in_bands, pixels=pixels))
+        found = colours.read(*whole), np.ascontiguousarray(depths.read(*whole)[..., 0])
+    facts["seconds"] = {"all": round(time.perf_counter() - began, 4)}
+    return Picture(*found, view, facts, place, None, sheet.tint, terrain.grid.crs, scene.surface.exaggeration,
+                   scene.attribution)  # fmt: skip
+
+
+@contextmanager
+def temporary() -> Iterator[Path]:
+    """A folder for tiles, in the cache folder, which the workers of a cluster must see, too."""
+    base = cache_folder()
+    base.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=".picture.", dir=base) as name:
+        yield Path(name)
+
+
 Box = tuple[int, int, int, int]
 """A tile: left, top, width, height."""
+
+
+def in_bands(sheet: Sheet, progress: Progress, *, pixels: int | None, across: int | None = None) -> None:
+    """Draw all tiles of a sheet, one after the other; ``pixels`` and ``across`` as of ``draw_large``."""
+    scene, view = sheet.scene, sheet.scene.view
+    with progress.task("Drawing", total=view.width * view.height) as task:
+        for box in bands(view.width, view.height, pixels or band_pixels(scene.budget.max_memory), across):
+            tile = draw_tile(scene, box, sheet.session)
+            rasters: list[Raster] = [tile.pixels, tile.depth]
+            for file, raster in zip(sheet.files, rasters, strict=False):
+                file.write(*box[:2], raster)
+            sheet.add(box, seen(scene, box, tile))
+            task.advance(box[2] * box[3])
 
 
 def bands(width: int, height: int, pixels: int, most: int | None = None) -> Iterator[Box]:
@@ -225,6 +260,14 @@ class Sheet:
         self._seen: dict[Box, Seen] = {}
         self._warned: set[str] = set()
         self.tint: Any = None
+
+    def fill(self, by: Callable[[Sheet, Progress], None]) -> dict[str, Any]:
+        """Have all tiles added by ``by``, and paint the furniture over them; returns the picture's facts."""
+        by(self, self.progress)
+        facts = self.facts()
+        if self.scene.annotations.furniture:
+            self.furnish(facts)
+        return facts
 
     def add(self, box: Box, seen: Seen) -> None:
         """Remember a tile, whose pixels are in the files."""

@@ -36,8 +36,9 @@ from orograph.rendering.backends import Session
 from orograph.rendering.blending import blended
 from orograph.rendering.composited import frame_of, put_nearer, split, split_triangles, windows_of
 from orograph.rendering.gbuffer import Area, GBuffer, Surface
-from orograph.rendering.large import draw_large
+from orograph.rendering.large import draw_apart, draw_large, temporary
 from orograph.rendering.memory import WORKER, band_pixels, worker_memory
+from orograph.rendering.picture import Picture
 from orograph.rendering.projection import Projection
 from orograph.rendering.ray_surface import RaySurface
 from orograph.scene.parts import Surface as Surfacing
@@ -289,4 +290,21 @@ def draw_by_parts(
         facts = draw_large(
             scene, Path(path), depth=depth, draw=draw, progress=progress, dpi=dpi, pixels=band_pixels(max_memory)
         )
-        return {**facts, "imbalance": round(cluster.imbalance(), 3), "moved_bytes": cluster.moved}
+        return facts | _shares(cluster)
+
+
+def picture_by_parts(
+    scene: Scene, *, workers: int | None = None, dask: Any = None, jobs: int | None = None, max_memory: int = 1 << 30,
+    progress: Progress = SILENT,
+) -> Picture:  # fmt: skip
+    """Draw a scene into memory, sort-last (``draw_by_parts``)."""
+    with by_parts(scene, workers=workers, dask=dask, jobs=jobs, max_memory=max_memory, what="A picture") as found:
+        draw, cluster = found
+        with temporary() as folder:
+            picture = draw_apart(scene, folder, draw=draw, progress=progress, pixels=band_pixels(max_memory))
+        return replace(picture, facts=picture.facts | _shares(cluster))
+
+
+def _shares(cluster: Cluster) -> dict[str, Any]:
+    """Facts on how the work was shared."""
+    return {"imbalance": round(cluster.imbalance(), 3), "moved_bytes": cluster.moved}

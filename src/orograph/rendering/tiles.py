@@ -19,9 +19,10 @@ import os
 import shutil
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +31,20 @@ from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.rendering.assembly import Raster, piece
 from orograph.rendering.backends import Session, session
-from orograph.rendering.large import COLUMNS, ROWS, Box, Seen, Sheet, draw_large, draw_tile, seen
+from orograph.rendering.large import (
+    COLUMNS,
+    ROWS,
+    Box,
+    Seen,
+    Sheet,
+    draw_apart,
+    draw_large,
+    draw_tile,
+    seen,
+    temporary,
+)
 from orograph.rendering.memory import BYTES_PER_PIXEL, WORKER, worker_memory
+from orograph.rendering.picture import Picture
 from orograph.scene.scene import Scene
 from orograph.store.clusters import Cluster, check_workers, threads_of
 from orograph.store.digests import Spot, crc32c
@@ -58,6 +71,11 @@ Band = list[Box]
 """Tiles of the same rows, from left to right."""
 
 Costs = NDArray[np.float64]
+
+By = Callable[[Sheet, Progress], None]
+"""What adds all tiles to a sheet."""
+
+T = TypeVar("T")
 
 
 class SheetRecipe(NamedTuple):
@@ -169,8 +187,8 @@ class Tiles(Stage[Seen]):
         self.sheet.add(self.box(spot), found)
 
     def finish(self) -> None:
-        """What the furniture needs to know about the picture's colours, from any part of it."""
-        if self.sheet is not None and self.recipe.scene.annotations.furniture:
+        """The colours of heights, which furniture and a colour bar need, from any part of the picture."""
+        if self.sheet is not None:
             left, top, wide, tall = self.recipe.bands[-1][-1]
             corner = (left, top, min(wide, COLUMNS), min(tall, ROWS))
             self.sheet.tint = draw_tile(self.recipe.scene, corner, self.sheet.session).tint
@@ -195,14 +213,48 @@ def draw_by_workers(
     Raises:
         StoreError: another process draws the same picture, or tiles were given up. As ``draw_large``.
     """
+    out = Path(path)
+    folder = out.absolute().with_name(f".{out.name}.tiles")
+
+    def into(scene: Scene, by: By) -> dict[str, Any]:
+        draw = session(progress, backend=backend)
+        return draw_large(scene, out, depth=depth, draw=draw, progress=progress, dpi=dpi, by=by)
+
+    facts, imbalance = _by_workers(scene, folder, into, workers, dask, depth is not None, backend, jobs, max_memory)
+    return facts | imbalance
+
+
+def picture_by_workers(
+    scene: Scene, *, workers: int | None = None, dask: Any = None, backend: str = "cpu", jobs: int | None = None,
+    max_memory: int = 1 << 30, progress: Progress,
+) -> Picture:  # fmt: skip
+    """Draw a scene into memory, its tiles by workers (``draw_by_workers``). Tiles lie in the cache folder meanwhile."""
+    with temporary() as folder:
+
+        def into(scene: Scene, by: By) -> Picture:
+            return draw_apart(scene, folder, draw=session(progress, backend=backend), progress=progress, by=by)
+
+        tiles = folder / "tiles"
+        picture, imbalance = _by_workers(scene, tiles, into, workers, dask, True, backend, jobs, max_memory)
+    return replace(picture, facts=picture.facts | imbalance)
+
+
+def _by_workers(
+    scene: Scene, place: Path, into: Callable[[Scene, By], T], workers: int | None, dask: Any, deep: bool,
+    backend: str, jobs: int | None, max_memory: int,
+) -> tuple[T, dict[str, Any]]:  # fmt: skip
+    """What ``into`` makes of a scene whose tiles workers draw, and the fact of how evenly they were at work.
+
+    Args:
+        place: the folder of the tiles. deep: whether their depths are kept.
+    """
     check_workers(workers, dask, "A picture")
     if scene.surface.wireframe and backend == "cpu":
         raise UsageError("A wireframe needs the whole picture in one process.", remedy="Omit the workers.")
     if workers is not None and scene.budget.max_memory is not None:
         # Each holds the heights of its tiles; all tiles, and what is seen of them here, are drawn from the same ones.
         scene = scene.but(max_memory=scene.budget.max_memory // workers)
-    out = Path(path)
-    folder = FolderStorage(out.absolute().with_name(f".{out.name}.tiles"), many=True)
+    folder = FolderStorage(place, many=True)
     imbalance = 1.0
 
     def by(sheet: Sheet, progress: Progress) -> None:
@@ -211,7 +263,6 @@ def draw_by_workers(
         most = min(MOST, max(each // 8 // BYTES_PER_PIXEL, LEAST))
         needed = worker_memory(most, scene.terrain, each)
         with workforce(workers, dask, 1, max_memory, WORKER + needed) as client:
-            deep = depth is not None
             plan, bands = _planned(scene, folder, backend, deep, threads_of(client), most, progress)
             drawn = scene if workers is None else scene.but(jobs=jobs or 1)  # processes share the machine's processors
             recipe = SheetRecipe(drawn, backend, str(folder.path), plan, bands, deep, needed)
@@ -220,11 +271,9 @@ def draw_by_workers(
                 imbalance = cluster.imbalance()
 
     with alone(folder, "drawing this picture"):
-        facts = draw_large(
-            scene, out, depth=depth, draw=session(progress, backend=backend), progress=progress, dpi=dpi, by=by
-        )
+        made = into(scene, by)
         shutil.rmtree(folder.path, ignore_errors=True)
-    return {**facts, "imbalance": round(imbalance, 3)}
+    return made, {"imbalance": round(imbalance, 3)}
 
 
 def _planned(
@@ -311,4 +360,4 @@ def _columns(width: int, costs: Costs, count: int, most: int) -> Sequence[tuple[
     return found
 
 
-__all__ = ["Box", "coarse_costs", "cut", "draw_by_workers"]
+__all__ = ["Box", "coarse_costs", "cut", "draw_by_workers", "picture_by_workers"]

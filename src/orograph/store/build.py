@@ -13,10 +13,11 @@ import functools
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any, Unpack, overload
 
 import numpy as np
 
+from orograph._named import answering
 from orograph.compiling import expect
 from orograph.error import KINDS, ErrorKind
 from orograph.errors import StoreError, UsageError
@@ -46,6 +47,7 @@ from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import CACHE_BYTES, StoredTerrain, open, read_record
 from orograph.store.terrain import Samples
 from orograph.store.tins import ALL_LEGS as TIN_LEGS
+from orograph.store.typed import Building
 from orograph.store.versions import check_keep, prune, settle
 from orograph.store.versions import publish as publish_version
 from orograph.store.ways import BASE, READER, AtOnce, check_ways, executor_of, memory_of, sizes
@@ -64,39 +66,14 @@ def build(source: Any, url: Path_, *, part: str | tuple[int, int], **options: An
 
 
 @overload
-def build(
-    source: Any,
-    url: Path_,
-    *,
-    overwrite: bool = False,
-    resume: bool = False,
-    update: bool = False,
-    keep: int | None = None,
-    max_memory: Amount = MEMORY,
-    jobs: int | None = None,
-    errors: Sequence[ErrorKind] | str = ("exact",),
-    tins: int | None = None,
-    chunked: tuple[int, float] | tuple[int, float, bool] | None = None,
-    quadtin: tuple[float, str] | None = None,
-    keep_source: bool = True,
-    codec: str = CODECS[0],
-    max_error: str | float = "lossless",
-    progress: Progress | bool | None = None,
-    storage_options: dict[str, Any] | None = None,
-    shard: int | None = None,
-    chunk: int = CHUNK,
-    part: None = None,
-    finish: bool = False,
-    workers: int | None = None,
-    dask: Any = None,
-    **options: Any,
-) -> StoredTerrain: ...
+def build(source: Any, url: Path_, *, part: None = None, **options: Unpack[Building]) -> StoredTerrain: ...
 
 
 @overload
 def build(source: Any, url: Path_, *, part: str | tuple[int, int] | None, **options: Any) -> StoredTerrain | None: ...
 
 
+@answering
 def build(
     source: Any,
     url: Path_,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from orograph._named import remedy
+from orograph._named import check_simple, remedy
 from orograph.errors import UsageError
 from orograph.output import same_file
 from orograph.progress import SILENT, Progress
@@ -22,6 +22,7 @@ from orograph.store.detect import is_store
 from orograph.store.memory import MemoryTerrain, is_metric
 from orograph.store.source import ArraySource, HeightSource, StoreSource
 from orograph.store.stored import StoredTerrain, open
+from orograph.store.typed import KINDS
 
 if TYPE_CHECKING:
     from orograph.dem.raster import Dem
@@ -50,12 +51,6 @@ OF_MANY = ("skip_damaged",)
 
 READING = tuple(dict.fromkeys((*OF_GRIDS, *OF_FILES, *OF_POINTS, *OF_ARRAYS, *OF_MANY)))
 """All options of reading heights."""
-
-
-NEEDS = (
-    "What methods need is stored by errors=, tins=, chunked= and quadtin= (`help(orograph.build)`); what a store lacks "
-    "is made when a method needs it."
-)
 
 
 def is_dataset(thing: Any) -> bool:
@@ -243,14 +238,14 @@ def _part(source: HeightSource, area: dict[str, Any]) -> HeightSource:
 
 
 def check_names(options: Any, called: str) -> None:
-    """Raise UsageError for unknown options of reading."""
+    """Raise UsageError for unknown options of reading, and for what is no number where one is needed."""
     for name in options:
         if name not in READING:
             own = getattr(sys.modules["orograph"], called, None)  # (only to report an error)
             known = inspect.signature(own).parameters if callable(own) else ()
             names = [one for one in known if one not in ("options", "reading")]
-            way = NEEDS if called == "build" and name in ("method", "methods", "for_") else ""
-            raise UsageError(f"{called} has no option {name!r}.", remedy=way or remedy(name, [*names, *READING]))
+            raise UsageError(f"{called} has no option {name!r}.", remedy=remedy(name, [*names, *READING]))
+    check_simple(KINDS, options.items())
 
 
 def _raster(one: Any, reading: dict[str, Any], warned: list[str], called: str) -> tuple[Any, bool]:

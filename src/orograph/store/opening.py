@@ -7,7 +7,7 @@ import inspect
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
 
-from orograph._named import remedy
+from orograph._named import answering, checking, remedy
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
@@ -24,6 +24,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
+@answering
 def terrain(
     source: Any,
     progress: Progress | bool | None = None,
@@ -83,9 +84,11 @@ def takes_terrain(function: Callable[Concatenate[Terrain, P], T]) -> Callable[Co
     own = inspect.signature(function).parameters
     open_ = any(one.kind is one.VAR_KEYWORD for one in own.values())
     signature = f"({', '.join(map(str, (one.name for one in own.values())))})"
+    check = checking(function)
 
     @functools.wraps(function)
     def taking(terrain_: Any, *args: Any, **options: Any) -> T:
+        check((terrain_, *args), options)
         reading = {name: options.pop(name) for name in READING if name in options and name not in own}
         more = {k: options[k] for k in ("jobs", "max_memory") if options.get(k) is not None}
         found = terrain(terrain_, called=function.__name__, **more, **reading)

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, TypedDict
+from typing import TYPE_CHECKING, Any, TypedDict
 
-from orograph.dem.undulation import Direction
+from orograph._named import simple
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from orograph.dem.undulation import Direction
+    from orograph.error import ErrorKind
+    from orograph.folders import Amount
+    from orograph.progress import Progress
 
 
 class Reading(TypedDict, total=False):
@@ -19,7 +27,7 @@ class Reading(TypedDict, total=False):
     clip: Any
     band: int | None
     nodata: float | str | None
-    spacing: float | str | None
+    spacing: float | None
     assume_crs: str | None
     encoding: str | None
     vertical_unit: str | None
@@ -31,3 +39,32 @@ class Reading(TypedDict, total=False):
     transform: Any
     name: str | None
     skip_damaged: bool | None
+
+
+class Building(Reading, total=False):
+    """How a store is built (``store.build.build``), but for ``part``."""
+
+    overwrite: bool
+    resume: bool
+    update: bool
+    keep: int | None
+    max_memory: Amount
+    jobs: int | None
+    errors: Sequence[ErrorKind] | str
+    tins: int | None
+    chunked: tuple[int, float] | tuple[int, float, bool] | None
+    quadtin: tuple[float, str] | None
+    keep_source: bool
+    codec: str
+    max_error: str | float
+    progress: Progress | bool | None
+    storage_options: dict[str, Any] | None
+    shard: int | None
+    chunk: int
+    finish: bool
+    workers: int | None
+    dask: Any
+
+
+KINDS = simple({name: one.__forward_arg__ for name, one in Reading.__annotations__.items()})
+"""Those that are a number or a switch."""

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.errors import UsageError
+from orograph.several import numbers
 from orograph.synthesis.exemplar import Exemplar, Integers
 from orograph.synthesis.kernels import MARGIN, PASSES, corrected, order, raised, upsampled
 
@@ -70,7 +71,7 @@ class Endless:
         levels = exemplar.top + 1
         if jitter is None:
             jitter = [JITTER] * max(1, levels - 3) + [0.0]
-        shaken = _of_levels(jitter, levels)
+        shaken = _of_levels(numbers(jitter, "jitter"), levels)
         if shaken is None or not all(0 <= r <= 1 for r in shaken):
             raise UsageError(
                 f"The jitter must be a number from 0 to 1, or up to {levels} of them, one for each level, not "
@@ -78,7 +79,7 @@ class Endless:
             )
         if passes is None:
             passes = [PASSES] * max(1, levels - UNCORRECTED) + [0]
-        turns = _of_levels(passes, levels)
+        turns = _of_levels(numbers(passes, "passes"), levels)
         if turns is None or not all(n in range(PASSES + 1) for n in turns):
             raise UsageError(
                 f"The passes must be a number from 0 to {PASSES}, or up to {levels} of them, one for each level, not "
@@ -172,9 +173,8 @@ class Endless:
         return out
 
 
-def _of_levels(given: float | Sequence[float], levels: int) -> list[float] | None:
-    """One number for each level, from a number or a list whose last is repeated; None if there are too many or none."""
-    some = [given] if isinstance(given, int | float) else list(given)
+def _of_levels(some: tuple[float, ...], levels: int) -> tuple[float, ...] | None:
+    """One number for each level: the last of the given ones is repeated; None if there are too many or none."""
     return some + some[-1:] * (levels - len(some)) if 0 < len(some) <= levels else None
 
 

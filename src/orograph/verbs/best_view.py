@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
@@ -21,6 +23,7 @@ AZIMUTHS = 72
 APART = 20.0
 
 
+@answering
 def best_view(
     terrain: Any,
     target: Any,
@@ -80,7 +83,7 @@ def best_view(
 
     told = reporting(progress)
     found = search(
-        ground, target, k, size=size_of(size), azimuths=azimuths,
+        ground, target, k, size=size_of(size), azimuths=sides_of(azimuths),
         pitches=None if pitches is None else numbers(pitches, "pitches"), heights=numbers(heights, "heights"),
         distances=numbers(distances, "distances"), fovs=numbers(fov, "fov"), clearance=clearance,
         target_height=target_height, sun=sun, apart=apart, pieces=pieces, jobs=jobs, progress=told,
@@ -93,6 +96,17 @@ def best_view(
     if len(found) < k:
         told.warn(f"Only {len(found)} of {k} views: no other camera is {apart:g}° apart from these and sees any of it.")
     return found
+
+
+def sides_of(azimuths: int | str | Sequence[float]) -> int | tuple[float, ...]:
+    """A number of sides, or their directions in degrees.
+
+    Raises:
+        UsageError: it is a text (whether "72" is a number of sides or a direction is not clear) or something else.
+    """
+    if isinstance(azimuths, str):
+        raise UsageError(f"`azimuths` must be a whole number, or directions in degrees, not {azimuths!r}.")
+    return operator.index(azimuths) if hasattr(azimuths, "__index__") else numbers(azimuths, "azimuths")
 
 
 def check_best_view(k: int, target_height: float, apart: float, pieces: int) -> None:

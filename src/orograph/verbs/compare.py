@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from orograph import verify
+from orograph._named import answering
 from orograph.compiling import expect
 from orograph.documents import parse
 from orograph.errors import ReadError, UsageError
@@ -105,6 +106,7 @@ class _Means:
         return made(choice, self.terrain, Resources(self.max_memory // 2, self.jobs, self.progress), self.drape)
 
 
+@answering
 def compare(
     terrain: Any,
     views: Sequence[View] | Mapping[str, View] | str | os.PathLike[str] | None = None,

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.geo.vector_files import Batch, check_vector_file, vector_file
@@ -145,6 +146,7 @@ class Written:
     highest: float | None
 
 
+@answering
 def contours(
     terrain: Any,
     interval: float | None = None,

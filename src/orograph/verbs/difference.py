@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph._named import answering
 from orograph.cards import Row, extent_rows, one_line
 from orograph.dem.aligned import Aligned, shared
 from orograph.dem.resample import METHODS
@@ -137,7 +138,8 @@ class Difference:
             Map(shown[None], self.grid, self._map().bands[:1]).save(file)
             data = Dataset(file, colormap=COLORS, range=(-end, end), style="continuous", unit="m", name=name)
             how = {"size": self._size(), "furniture": True, "title": self.name.replace("_", " "), **options}
-            return render(self._relief(heard, options), view, data=[data], progress=heard, **how)
+            picture: Picture = render(self._relief(heard, options), view, data=[data], progress=heard, **how)
+            return picture
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write it: .tif, a Cloud Optimized GeoTIFF in metres; .png, .jpg or .webp, the picture of ``render``.
@@ -221,6 +223,7 @@ class Difference:
         return of_mosaic(Mosaic([self._ground]), progress=progress, **how)
 
 
+@answering
 def difference(
     a: Any, b: Any, output: str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | None = None, *,
     onto: Onto = "first", resampling: str = "bilinear", quantiles: Numbers = QUANTILES, limit: float | None = None,

@@ -12,6 +12,7 @@ from pyproj import CRS
 from pyproj.crs import CompoundCRS
 from pyproj.exceptions import ProjError
 
+from orograph._named import answering
 from orograph.dem.area import both, box_window, checked, whole
 from orograph.dem.header import copyright_tags
 from orograph.errors import UsageError
@@ -31,6 +32,7 @@ STEP = 1024
 """Samples along the side of the blocks that are read."""
 
 
+@answering
 def export(
     terrain: Any,
     output: str | os.PathLike[str],

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.verbs.info_text import describe
@@ -40,6 +41,7 @@ KEYS = (
 """The keys, in their order."""
 
 
+@answering
 def info(
     source: Any, *, exact: bool | None = None, bbox: Sequence[float] | str | None = None, clip: Any = None,
     jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from orograph._named import answering
 from orograph.errors import OutputError, ReadError, UsageError
 from orograph.output import Beside, check_folder, remove
 from orograph.progress import Progress
@@ -31,6 +32,7 @@ class Listed(NamedTuple):
     damaged: tuple[str, ...]
 
 
+@answering
 def manifest(
     files: str | os.PathLike[str] | Sequence[str | os.PathLike[str]], path: str | os.PathLike[str], *,
     skip_damaged: bool = False, jobs: int | None = None, progress: Progress | bool | None = None, **reading: Any,

@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from orograph._named import answering
 from orograph.errors import UsageError
 from orograph.progress import Progress
 from orograph.rendering.api import check_names
-from orograph.rendering.backends import session
+from orograph.rendering.backends import check_sort_last, session
 from orograph.rendering.memory import check_memory
 from orograph.reporting import reporting
 from orograph.scene import given
@@ -32,6 +33,7 @@ from orograph.verbs.ways import WAY, check_passage, parsed_path, settle_tour, to
 from orograph.viewpoint import View
 
 
+@answering
 def movie(
     terrain: Any,
     output: str | os.PathLike[str],
@@ -92,10 +94,7 @@ def movie(
     settle_tour(way, tour is not None)
     check_passage(passage, way)
     by = By.of(workers, dask, part, finish)
-    if sort_last and backend != "cpu":
-        raise UsageError("`sort_last` draws on the CPU.", remedy="Leave out `backend`.")
-    if sort_last and workers is None and dask is None:
-        raise UsageError("`sort_last` needs workers.", remedy="Give `workers` or `dask`.")
+    check_sort_last(sort_last, workers, dask, backend)
     path = os.fspath(output)
     size = None if size is None else size_of(size)
     check_movie(path, size, crf)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.compiling import expect
 from orograph.errors import NothingInViewError
 from orograph.folders import Amount, bytes_of
@@ -52,6 +53,7 @@ class Triangulated:
     report: Report | None
 
 
+@answering
 def tessellate(
     terrain: Any,
     view: View | str | os.PathLike[str] | None = None,

@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orograph._named import answering
 from orograph.compiling import expect
 from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
@@ -25,6 +26,7 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 
 
+@answering
 def tin(
     terrain: Any,
     max_error: float | None = None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from orograph._named import answering
 from orograph.folders import Amount, bytes_of
 from orograph.progress import Progress
 from orograph.scene.bearings import Bearing
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from orograph.touring.tour import Tour
 
 
+@answering
 def tour(
     terrain: Any,
     *,

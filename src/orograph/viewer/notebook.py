@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Unpack, cast
 
+from orograph._named import answering
 from orograph.cards import png
 from orograph.errors import OrographError
 from orograph.folders import Amount, bytes_of
@@ -47,6 +48,7 @@ class Still:
         return png(self.picture.pixels)
 
 
+@answering
 def view(
     terrain: Any,
     camera: View | None = None,

@@ -1,4 +1,4 @@
-"""What methods need of a store: ``orograph build --for``."""
+"""What methods need of a store: the ``methods`` of ``orograph.build``."""
 
 from __future__ import annotations
 
@@ -28,26 +28,23 @@ class Needed(NamedTuple):
     quadtin: tuple[float, str] | None = None
 
 
-def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> Needed:
-    """What methods need.
-
-    Args:
-        legs: segments of the patches whose TINs are requested directly.
+def needed_by(methods: Sequence[str], progress: Progress, asked: Needed) -> Needed:
+    """What methods need, with what is ``asked`` for besides.
 
     Raises:
         UsageError: one of them is not a method, or two need different TINs, chunks or QuadTINs.
     """
-    tins = {} if legs is None else {int(legs): None}
-    chunked: dict[Kind, None] = {}
-    quadtin: dict[tuple[float, str], None] = {}
     if not methods:
-        return Needed(tins=next(iter(tins), None))
+        return asked
     from orograph.lod.needs import kinds_of
     from orograph.lod.registry import chosen
     from orograph.store.chunked import Kind
     from orograph.store.patches import LEGS
 
-    found: dict[ErrorKind, None] = {}
+    found: dict[ErrorKind, None] = dict.fromkeys(asked.errors)
+    tins = {} if asked.tins is None else {asked.tins: None}
+    chunked: dict[Kind, None] = {} if asked.chunked is None else {asked.chunked: None}
+    quadtin = {} if asked.quadtin is None else {asked.quadtin: None}
     for text in methods:
         choice = chosen(text)
         needs = choice.method.needs(choice.options)
@@ -60,7 +57,7 @@ def needed_by(methods: Sequence[str], progress: Progress, legs: str | None) -> N
         if any(need.name == "patches" and need.options["legs"] != LEGS for need in needs):
             progress.note(f"{choice}: stores have errors of patches with {LEGS} segments; others are made when needed.")
         if getattr(choice.options, "color_tolerance", None) is not None:
-            progress.note(f"{choice}: store errors of colours with --color-errors.")
+            progress.note(f"{choice}: store errors of colours with `color_errors=True`.")
     if len(tins) > 1:
         raise UsageError(
             f"A store has TINs of one kind only, not of {' and '.join(map(str, tins))} segments.",
