@@ -84,6 +84,9 @@ def test_the_veil_hides_what_is_not_selected_texel_by_texel(window):
     with rasterio.open(veil.path) as file:
         opaque = file.read(4) > 0
     assert (~opaque).mean() == pytest.approx(0.25, abs=0.02) and not opaque[0, 0] and opaque[0, -1]
+    plot.select(window, ranges={"ramp": (-1.0, 99.0)})
+    assert not window.brush.empty and window.session.settings.veil is None  # nothing is left to hide
+    plot.select(window, ranges={"ramp": (0.0, 2.5)})
     # Other data are shown: the selection is made anew.
     give(window, Dataset(10 - np.asarray(ramp(window).source), name="ramp"))
     assert window.brush.stale(window.session.terrain, window.session.settings.shown)

@@ -164,10 +164,13 @@ class Brush:
         over = image_grid(terrain.grid, TEXELS)
         col, row = np.meshgrid(np.arange(over.cols, dtype=np.float64), np.arange(over.rows, dtype=np.float64))
         x, y = over.xy(col.ravel(), row.ravel())
-        at = sampled(x, y, terrain, shown)
+        held = self.holds(sampled(x, y, terrain, shown)).reshape(over.shape)
+        if held.all():
+            self.veil = None  # (an image with nothing in it is an error)
+            return
         image = np.zeros((*over.shape, 4), np.uint8)
         image[...] = VEIL
-        image[self.holds(at).reshape(over.shape), 3] = 0
+        image[held, 3] = 0
         placed = over.crs is not None
         self.veil = Layer(image, name="not selected", transform=over.transform if placed else None,
                           crs=over.crs if placed else None)  # fmt: skip

@@ -57,6 +57,28 @@ def test_names_have_colours_but_no_sizes() -> None:
         placed(variable="kind", colormap={"automatic": "red"})
 
 
+@pytest.mark.parametrize("style", ["spheres", "bars", "tubes"])
+def test_without_priority_what_stands_has_the_colours_of_classes(style: str) -> None:
+    ground = orograph.terrain(np.zeros((40, 90), np.float32), spacing=10.0)
+    x, y = ground.grid.xy(np.linspace(3, 80, 30), np.full(30, 20.0))
+    values = [float(v) for v in np.linspace(0, 60, 30) ** 2]
+    shape: Any = {"x": x, "y": y, "v": values}
+    if style == "tubes":
+        ends = [[[float(a), float(b)], [float(a), float(b) + 50]] for a, b in zip(x, y)]
+        lines = ({"type": "LineString", "coordinates": line} for line in ends)
+        features = [{"type": "Feature", "geometry": g, "properties": {"v": v}} for g, v in zip(lines, values)]
+        shape = {"type": "FeatureCollection", "features": features}
+    data = Dataset(shape, variable="v", style=style, classes=3)
+
+    def colors(**how: Any) -> tuple[int, int]:
+        things = themed({"data": data, **how}, ground, (200, 150)).things
+        assert things is not None
+        return len(np.unique(things.rgb, axis=0)), len(np.unique(things.legend.scales[0].colors, axis=0))
+
+    assert colors(priority="T+D-U-") == (3, 3)
+    assert min(colors()) > 20 < min(colors(priority="T+D+U-"))
+
+
 PLACE = from_origin(500_000, 5_600_000, 100, 100)
 
 

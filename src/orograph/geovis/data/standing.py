@@ -21,7 +21,7 @@ from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, doubted
+from orograph.geovis.data.scales import ColorScale, Shared, doubted
 from orograph.geovis.data.signs import INK, colored
 from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
@@ -196,7 +196,7 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
             remedy=f"There are {', '.join(KINDS)}, columns and logs.",
         )
     if points.classes is None:
-        scale = ColorScale.of(points.values, dataset.plain_colormap, dataset.range)
+        scale = scale_of(dataset, points.values, priority)
     else:
         scale = ColorScale.of_classes(points.classes, dataset.colormap)
     if points.level is not None and style not in FLOATING:
@@ -235,6 +235,13 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
     if sign != "errorbars" or sigma is None:
         return main
     return Things.joined([main, *_error_bars(main, sigma / (scale.high - scale.low) * size)])
+
+
+def scale_of(dataset: Dataset, values: Array, priority: Priority) -> ColorScale:
+    """The scale of numbers (n,): of classes where data are not prioritised, of equal steps where pictures share it."""
+    shared = isinstance(dataset.range, Shared) and dataset.breaks == "quantiles"
+    breaks = "equal" if shared else dataset.breaks
+    return ColorScale.of(values, dataset.plain_colormap, dataset.range, 0 if priority.data else dataset.classes, breaks)
 
 
 def _sign(dataset: Dataset, priority: Priority, style: str) -> str:

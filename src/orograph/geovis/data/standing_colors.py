@@ -9,13 +9,17 @@ from numpy.typing import NDArray
 
 from orograph.errors import UsageError
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import colored
-from orograph.geovis.data.standing import PALER, key_of
+from orograph.geovis.data.standing import PALER, key_of, scale_of
 from orograph.geovis.data.standing_marks import MARKS
 from orograph.geovis.keys import Legend
 
 Array = NDArray[np.float64]
+
+ITEMS = Priority(data=True)
+"""The priority of what stands for single samples, such as those of a borehole: their own values."""
 
 
 class Caption(NamedTuple):
@@ -45,20 +49,22 @@ class Colored(NamedTuple):
 
 
 def colors_of(
-    dataset: Dataset, values: Array, sigma: Array | None, caption: Caption, marked: bool | None = None
-) -> Colored:
+    dataset: Dataset, values: Array, sigma: Array | None, caption: Caption, marked: bool | None = None,
+    priority: Priority = ITEMS,
+) -> Colored:  # fmt: skip
     """Colours of values (n,), and their legend.
 
     Args:
         sigma: (n,) standard deviations; None: nothing is known.
         marked: whether signs that lie over them are the usual ones; None: there is no place for such.
+        priority: of the data.
 
     Raises:
         UsageError: the sign of an uncertainty cannot be shown so.
     """
     scale = (
         ColorScale.of_classes(caption.classes, dataset.colormap) if caption.classes else
-        ColorScale.of(values, dataset.plain_colormap, dataset.range)
+        scale_of(dataset, values, priority)
     )  # fmt: skip
     usual = "glyphs" if marked else "whiteness"
     sign = "none" if dataset.uncertainty is None else dataset.uncertainty.style or usual

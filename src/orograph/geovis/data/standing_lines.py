@@ -62,7 +62,7 @@ def things_of_lines(dataset: Dataset, features: Features, grid: Grid, priority: 
     sigma = None if shapes.sigma is None else shapes.sigma[owner]
     caption = Caption(name, dataset.unit or ("m" if by_height else ""), ", ".join(shapes.notes), classes)
     marked = priority.uncertainty if style == "curtains" else None
-    rgb, legend, u, sign = colors_of(dataset, values, sigma, caption, marked)
+    rgb, legend, u, sign = colors_of(dataset, values, sigma, caption, marked, priority)
     size = dataset.size if dataset.size is not None else longer(grid) / ACROSS[style]
     full, tube = np.ones(len(at)), style == "tubes"
     level = at[:, [2, 5]] if tube else np.full((len(at), 2), np.nan)

@@ -48,9 +48,10 @@ def draw(window: Window) -> None:
     plot = _frame(wanted, at, known)
     _pixels(plot, at, known, held, brush.empty)
     _dragged(window, plot)
+    # (Above the ranges: their tips appear below the pointer.)
+    imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.describe(terrain, shown))
     for name, ends in zip(wanted, plot.ends):
         _typed(window, name, ends)
-    imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.describe(terrain, shown))
     for name, (low, high) in brush.ranges.items():
         if name not in wanted:
             imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
