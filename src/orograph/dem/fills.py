@@ -57,9 +57,11 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         value = float(found[i])
         gap = float(_quantiles(np.abs(others[0] - value), others[1], 0.005)[0])
         low, middle, high = _quantiles(*others, 0.25, 0.5, 0.75)
-        steps, jumps, within = _steps(parts, value)
         wanted = _LEAST if value in ordinary else max(_LEAST, float(high - low), 0.5 * abs(middle - value))
-        if gap < wanted or within < 0.25 or jumps.size == 0:
+        if gap < wanted:
+            continue
+        steps, jumps, within = _steps(parts, value)
+        if within < 0.25 or jumps.size == 0:
             continue
         if float(np.quantile(jumps, 0.1)) < max(_LEAST, _JUMP * float(np.quantile(steps, 0.5)) if steps.size else 0.0):
             continue
