@@ -105,11 +105,7 @@ def command(
         from orograph.rendering.backends import draw, session
         from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
         from orograph.rendering.memory import band_pixels, check_memory
-        from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
-        from orograph.rendering.sort_last import draw_by_parts
-        from orograph.rendering.standing import with_room
-        from orograph.rendering.tiles import draw_by_workers
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
 
@@ -142,15 +138,21 @@ def command(
     large = by_bands((view.width, view.height)) and each is None
     scene = scene_of(terrain, view, options, max_memory, jobs)
     if each is None and is_fitted(options):
+        from orograph.rendering.standing import with_room
+
         scene = with_room(scene, partial(camera_view, terrain, options, keys=scene.keys))
         view = scene.view
     try:
         if sort_last:
+            from orograph.rendering.sort_last import draw_by_parts
+
             facts = draw_by_parts(
                 scene, output, workers=workers, dask=dask, depth=depth, jobs=jobs, max_memory=max_memory, dpi=dpi,
                 progress=progress,
             )  # fmt: skip
         elif together:
+            from orograph.rendering.tiles import draw_by_workers
+
             facts = draw_by_workers(
                 scene, output, workers=workers, dask=dask, depth=depth, backend=options["backend"], jobs=jobs,
                 max_memory=max_memory, dpi=dpi, progress=progress,
@@ -162,6 +164,8 @@ def command(
                 pixels=band_pixels(max_memory, gpu=gpu), dpi=dpi,
             )  # fmt: skip
         elif each is not None:
+            from orograph.rendering.panels import draw_panels
+
             budget = {"max_memory": max_memory, "jobs": jobs}
 
             def again(size: tuple[int, int], also: Any = None) -> View:
