@@ -7,7 +7,6 @@ recognise a terrain and needs none of the rendering code.
 from __future__ import annotations
 
 import base64
-import html
 import io
 import math
 from collections.abc import Sequence
@@ -61,6 +60,8 @@ def one_line(kind: str, name: str, rows: Sequence[Row]) -> str:
 
 def card(kind: str, name: str, rows: Sequence[Row], picture: bytes | None = None) -> str:
     """A card of HTML: a title, rows of names and values, a PNG beside them."""
+    import html
+
     cells = "".join(
         f'<tr><th style="text-align:left;font-weight:normal;opacity:.6;padding:0 1em 0 0">{html.escape(label)}</th>'
         f'<td style="text-align:left">{html.escape(text)}</td></tr>'
@@ -76,6 +77,7 @@ def card(kind: str, name: str, rows: Sequence[Row], picture: bytes | None = None
 
 def table(rows: Sequence[Sequence[str]]) -> str:
     """A table of HTML; the first row is its head, the first column is aligned left."""
+    import html
 
     def row(cells: Sequence[str], tag: str) -> str:
         sides = ["left", *["right"] * (len(cells) - 1)]

@@ -7,7 +7,6 @@ behind; the next process that writes the same result removes it.
 from __future__ import annotations
 
 import contextlib
-import filecmp
 import functools
 import glob
 import math
@@ -143,6 +142,8 @@ class Beside:
 
     def _kept(self) -> bool:
         """Rename the part if the name is free, or leave an identical file there; False: the file must be replaced."""
+        import filecmp
+
         try:
             os.link(self.part, self.out)
         except FileExistsError:

@@ -17,7 +17,6 @@ import click
 
 from orograph.errors import UsageError
 from orograph.folders import parse_bytes
-from orograph.scene.given import numbers
 
 if TYPE_CHECKING:
     from orograph.cli.progress import LineProgress
@@ -155,6 +154,8 @@ class Numbers(ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         if isinstance(value, tuple):
             return value
+        from orograph.scene.given import numbers
+
         try:
             return numbers(str(value), self.name, self.optional)
         except ValueError as error:

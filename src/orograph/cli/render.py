@@ -102,9 +102,7 @@ def command(
         from orograph.folders import cache_folder
         from orograph.output import check_folder
         from orograph.rendering.memory import check_memory
-        from orograph.rendering.panels import draw_panels
         from orograph.rendering.picture import picture_format
-        from orograph.rendering.standing import with_room
         from orograph.rendering.ways import Way
         from orograph.scene.diagnostics import LEAVE_CAMERA
         from orograph.store.prepare import prepare
@@ -126,10 +124,14 @@ def command(
     view = camera_view(terrain, options if each is None else {**options, "furniture": False})
     scene = scene_of(terrain, view, options, max_memory, jobs)
     if each is None and is_fitted(options):
+        from orograph.rendering.standing import with_room
+
         scene = with_room(scene, partial(camera_view, terrain, options, keys=scene.keys))
         view = scene.view
     try:
         if each is not None:
+            from orograph.rendering.panels import draw_panels
+
             check_memory((view.width, view.height), allowed)
             budget = {"max_memory": max_memory, "jobs": jobs}
 

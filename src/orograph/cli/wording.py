@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 import click
 
-from orograph.scene import wording
-
 SAID = {
     "plan": "--projection plan", "map": "--projection plan", "perspective": "--projection perspective",
     **dict.fromkeys(("graticule", "grid"), "--aids grid"), "points": "--data FILE,variable=NAME",
@@ -58,16 +56,24 @@ def speak(command: click.Command | None) -> None:
 
 def flag(name: str, flags: Mapping[str, str] | None = None) -> str:
     """The command-line name of an argument; ``flags``: by name (None: the running verb's)."""
+    from orograph.scene import wording
+
     return (_flags if flags is None else flags).get(name) or wording.flag(name)
 
 
 def spoken(text: str, flags: Mapping[str, str] | None = None) -> str:
     """A text whose Python in backticks is written as on the command line; ``flags``: as for ``flag``."""
+    if "`" not in text:
+        return text
+    from orograph.scene import wording
+
     return wording.spoken(text, lambda name: flag(name, flags))
 
 
 def lead(error: click.NoSuchOption) -> None:
     """Have an error suggest the option that a user of another tool's name may mean, if the verb has it."""
+    from orograph.scene import wording
+
     there = {flag for one in (error.ctx.command.params if error.ctx else ()) for flag in one.opts}
     if "points" in there and error.option_name.lstrip("-").lower() in POINTS:
         setattr(error, "possibilities", [])  # noqa: B010 (given to a new error it would have to look alike)
@@ -83,6 +89,7 @@ def lead(error: click.NoSuchOption) -> None:
 def elsewhere(name: str) -> list[str]:
     """The command line for something that is a verb elsewhere (a light product, a measurement); []: none."""
     from orograph.lighting.products import MEANT, names
+    from orograph.scene import wording
 
     product = name.replace("_", "-")
     if product in names() or product in MEANT:

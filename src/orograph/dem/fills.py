@@ -57,9 +57,11 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         value = float(found[i])
         gap = float(_quantiles(np.abs(others[0] - value), others[1], 0.005)[0])
         low, middle, high = _quantiles(*others, 0.25, 0.5, 0.75)
-        steps, jumps, within = _steps(parts, value)
         wanted = _LEAST if value in ordinary else max(_LEAST, float(high - low), 0.5 * abs(middle - value))
-        if gap < wanted or within < 0.25 or jumps.size == 0:
+        if gap < wanted:
+            continue
+        steps, jumps, within = _steps(parts, value)
+        if within < 0.25 or jumps.size == 0:
             continue
         if float(np.quantile(jumps, 0.1)) < max(_LEAST, _JUMP * float(np.quantile(steps, 0.5)) if steps.size else 0.0):
             continue
@@ -84,7 +86,7 @@ def _boxes(shape: tuple[int, int], windows: int) -> Iterator[tuple[int, int, int
 
 
 def _starts(length: int, count: int) -> list[int]:
-    """Where so many windows begin, spread over a side (``np.unique`` would load NumPy's masked arrays: 30 ms)."""
+    """Where so many windows begin, spread over a side."""
     return sorted({int(v) for v in np.linspace(0, max(0, length - _SIDE), count + 2)[1:-1]})
 
 

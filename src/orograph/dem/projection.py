@@ -100,7 +100,7 @@ def geodetic_base(crs: CRS) -> CRS:
 def unwrapped(lon: Degrees) -> Degrees:
     """Longitudes made continuous: the widest gap around the circle is outside [min, max]; the middle is in ±180."""
     turned = np.mod(lon, 360.0)
-    ordered = np.unique(turned)
+    ordered = np.sort(turned, axis=None)
     gaps = np.diff(ordered, append=ordered[0] + 360.0)
     start = ordered[(int(np.argmax(gaps)) + 1) % len(ordered)]
     out = start + np.mod(turned - start, 360.0)

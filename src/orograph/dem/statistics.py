@@ -104,5 +104,5 @@ def _spread(source: Source) -> Iterator[Box]:
 
 def _starts(length: int, count: int) -> NDArray[np.int64]:
     last = max(0, length - _SIDE)
-    starts: NDArray[np.int64] = np.unique(np.linspace(0, last, max(1, count)).astype(np.int64))
+    starts: NDArray[np.int64] = np.array(sorted({*np.linspace(0, last, max(1, count)).astype(np.int64)}))
     return starts

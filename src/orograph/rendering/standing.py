@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from orograph.geovis.color import linear_to_srgb, srgb_to_linear
 from orograph.geovis.data.standing import Kind, Things
-from orograph.measuring.ground import heights
 from orograph.parallel import for_each
 from orograph.progress import Progress
 from orograph.rendering.jitter import pattern
-from orograph.rendering.shadows import shade
 from orograph.scene.scene import Scene
 from orograph.store.terrain import Terrain
 from orograph.viewpoint import RayBasis, View
@@ -69,6 +67,7 @@ def stand(
         scene: what the picture shows; its view may be a tile.
         placed: feet and other ends, if they are known (``places``).
     """
+    from orograph.rendering.shadows import shade
     from orograph.rendering.standing_kernels import Eye, Light, Sheet, Solids, cast
 
     place, end = placed or places(things, scene.terrain, scene.surface.exaggeration)
@@ -211,6 +210,8 @@ def heads(things: Things, terrain: Terrain, exaggeration: float) -> Array:
 
 def _stretched(x: Array, y: Array, level: Array, lift: Array, terrain: Terrain, exaggeration: float) -> Array:
     """(n, 3) places at heights; where ``level`` is NaN, those of the ground."""
+    from orograph.measuring.ground import heights
+
     col, row = terrain.grid.index(x, y)
     rows, cols = terrain.grid.shape
     inside = (col >= 0) & (row >= 0) & (col <= cols - 1) & (row <= rows - 1)

@@ -13,10 +13,7 @@ from orograph.rendering.backends import BACKENDS, check_sort_last, draw, session
 from orograph.rendering.large import ACROSS, check_most, draw_large, is_large
 from orograph.rendering.memory import band_pixels, check_memory
 from orograph.rendering.picture import Picture
-from orograph.rendering.sort_last import draw_by_parts, picture_by_parts
-from orograph.rendering.tiles import draw_by_workers, picture_by_workers
 from orograph.scene.scene import Scene
-from orograph.store.clusters import check_workers
 
 MEMORY = 1 << 30
 """Bytes that drawing into a file may take if nothing is said."""
@@ -44,7 +41,10 @@ class Way:
     def __post_init__(self) -> None:
         if self.backend not in BACKENDS:
             raise UsageError(f"There is no backend {self.backend!r}; the backends are {', '.join(BACKENDS)}.")
-        check_workers(self.workers, self.dask, "A picture")
+        if self.together:
+            from orograph.store.clusters import check_workers
+
+            check_workers(self.workers, self.dask, "A picture")
         check_sort_last(self.sort_last, self.workers, self.dask, self.backend)
 
     @property
@@ -67,6 +67,9 @@ class Way:
         """
         if not self.together:
             return draw(scene, progress, backend=self.backend)
+        from orograph.rendering.sort_last import picture_by_parts
+        from orograph.rendering.tiles import picture_by_workers
+
         if self.sort_last:
             return picture_by_parts(scene, **self._budget(scene), progress=progress)
         return picture_by_workers(scene, backend=self.backend, **self._budget(scene), progress=progress)
@@ -92,8 +95,12 @@ class Way:
                 picture.save_depth(depth)
             return picture.facts
         if self.sort_last:
+            from orograph.rendering.sort_last import draw_by_parts
+
             return draw_by_parts(scene, path, depth=depth, dpi=dpi, **self._budget(scene), progress=progress)
         if self.together:
+            from orograph.rendering.tiles import draw_by_workers
+
             return draw_by_workers(scene, path, backend=self.backend, depth=depth, dpi=dpi, **self._budget(scene),
                                    progress=progress)  # fmt: skip
         gpu = self.backend == "gpu"

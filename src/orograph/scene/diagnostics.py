@@ -6,11 +6,14 @@ Sentences for ``Progress.warn``. Units: metres, degrees.
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from orograph.geo.beyond import beyond
 from orograph.geo.transform import far_outside
 from orograph.scene.camera import ground
-from orograph.scene.scene import Scene
+
+if TYPE_CHECKING:
+    from orograph.scene.scene import Scene
 
 TWILIGHT = -6.0
 """Altitude of the sun below which civil twilight is over, degrees: only the sky gives light."""

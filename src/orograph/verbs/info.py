@@ -65,7 +65,6 @@ def info(
         ReadError, StoreError: it cannot be read.
         UsageError: it does not hold heights, none lie in the area, or an option does not apply.
     """
-    from orograph.dem.area import Area
     from orograph.dem.folders import is_folder
     from orograph.dem.handles import is_manifest
     from orograph.dem.scattered import is_points
@@ -74,7 +73,11 @@ def info(
 
     heard = reporting(progress)
     files = files_of(source)
-    area = Area.of(bbox, clip)
+    area = None
+    if bbox is not None or clip is not None:
+        from orograph.dem.area import Area
+
+        area = Area.of(bbox, clip)
     store = files is not None and len(files) == 1 and is_store(files[0])
     points = files is not None and len(files) == 1 and is_points(files[0])
     many = files is None or len(files) > 1 or is_manifest(files[0]) or (not store and is_folder(files[0]))

@@ -7,14 +7,16 @@ Sources: SQLite's file format, section 1.3; HDF5 File Format Specification, sect
 
 from __future__ import annotations
 
-import sqlite3
 import struct
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
 from orograph.dem.whole.png import bytes_fault
 from orograph.dem.whole.tiff import tile_fault
+
+if TYPE_CHECKING:
+    import sqlite3
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _LARGEST = 1 << 30
@@ -23,6 +25,8 @@ _LARGEST = 1 << 30
 
 def database(dataset: Any, path: str) -> str | None:
     """The fault of a database of tiles, as a sentence; None if there is none."""
+    import sqlite3
+
     size = Path(path).stat().st_size
     with Path(path).open("rb") as file:
         head = file.read(100)
