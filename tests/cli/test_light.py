@@ -329,7 +329,7 @@ def test_resume_goes_on_after_the_last_pass_to_the_same_bytes(run, hilly, tmp_pa
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "save", interrupted)
         code, _, err = run("light", hilly, *given, "-o", out)
-    assert code == 130 and "same command" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
+    assert code == 130 and "run the same again" in err and not out.exists() and (tmp_path / "out.tif.partial").is_dir()
     swept, begin = [], Pass.begin
     with monkeypatch.context() as patch:
         patch.setattr(Pass, "begin", lambda self, *how: swept.append(len(self.lines)) or begin(self, *how))
@@ -362,7 +362,7 @@ def test_resume_keeps_windows_of_walks(run, hilly, tmp_path, monkeypatch):
 
     monkeypatch.setattr(Checkpoint, "window", counted)
     code, _, err = run("light", hilly, *given, "-o", out)
-    assert code == 130 and "same command" in err and len(made) == 11
+    assert code == 130 and "run the same again" in err and len(made) == 11
     cut = next((tmp_path / "out.tif.partial").glob("*.npy"))
     cut.write_bytes(cut.read_bytes()[:-4])
     before, made[:] = set(made), []
@@ -416,7 +416,7 @@ def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch)
 
 def test_it_is_known_which_products_an_option_changes(hilly):
     """Each option against the products themselves: changed bits where it is said to matter, the same elsewhere."""
-    from orograph.cli.products import USERS
+    from orograph.lighting.maps import USERS
 
     heights = heights_of(hilly)[:40, :40].astype(np.float32)
     with rasterio.open(hilly) as file:

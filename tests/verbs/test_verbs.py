@@ -58,20 +58,24 @@ def run(*args: Any) -> str:
     return ran.stdout
 
 
-NOT_HERE = {
-    # What is about files and screens, which functions return or take themselves.
-    "": {"paths", "path", "output", "as_json", "json_path", "picture", "outputs"},
-    "render": {"save_view"},
-    "build": {"dem", "store", "repair"},
-    "compare": {"every", "method"},
-    "movie": {"tour_path"},
-    "light": {"products", "byte", "resume"},
-    "bake": {"products"},
-    "best_view": {"tour_path", "seconds"},
-    "fetch": {"list_products", "try_products", "yes"},
-    "view": {"adapter", "screenshot", "frames"},
-}
-"""Options of the command line that are said otherwise in Python, by verb."""
+NOT_HERE: dict[str, dict[str, str]] = {
+    "": {
+        "paths": "the first argument", "path": "the first argument", "as_json": "the result has the same facts",
+        "json_path": "the result has the same facts",
+    },
+    "render": {"save_view": "picture.view.save(path)"},
+    "build": {"dem": "source", "store": "url", "repair": "orograph.store.repair.repair, with a result of its own"},
+    "compare": {"every": "methods", "method": "methods, which takes one or several"},
+    "movie": {"tour_path": "tour, which takes its file, too"},
+    "light": {"products": "name, which takes one or several"},
+    "bake": {"products": "names, which takes one or several"},
+    "best_view": {"output": "found.save(path)", "tour_path": "found.tour().save(path)", "seconds": "found.tour()"},
+    "tour": {"output": "tour.save(path)"}, "manifest": {"output": "path"},
+    "fetch": {"list_products": "orograph.fetching.products", "try_products": "orograph.fetching.trying",
+              "yes": "most, a limit of bytes"},
+    "view": {"adapter": "GPUs are chosen by WebGPU", "screenshot": "orograph.render", "frames": "a window's test"},
+}  # fmt: skip
+"""Options of the command line that are said otherwise in Python, by verb, and how."""
 
 CAMERA = {"azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov", "projection"}
 """What a ``view`` says."""
@@ -88,12 +92,16 @@ def test_every_verb_is_a_function_with_its_options(verb: str) -> None:
         there |= set(inspect.signature(orograph.render).parameters) | set(inspect.signature(orograph.tour).parameters)
     if verb in ("light", "bake"):
         there |= set(Options.__dataclass_fields__) | set(MORE)
-    said = {p.name for p in command.params} - NOT_HERE[""] - NOT_HERE.get(verb, set())
+    said = {p.name for p in command.params} - {*NOT_HERE[""], *NOT_HERE.get(verb, {})}
     said -= {name for more in DETAILS.values() for name in more}  # (they are of ``Contours`` and ``Silhouettes``)
     said.discard("uncertainty")  # (it is a ``Dataset``'s)
     if verb not in ("tour", "best_view"):
         said -= CAMERA
     assert not said - there
+    names = {p.name for p in command.params}
+    assert ("resolution" in names) == ("crs" in names) == ("resampling" in names) or verb == "synth"
+    assert names >= NOT_HERE.get(verb, {}).keys(), "an excuse without an option"
+    assert not NOT_HERE.get(verb, {}).keys() & inspect.signature(function).parameters.keys(), "an excuse for nothing"
 
 
 @pytest.mark.parametrize("name", sorted({verb.replace("-", "_") for verb in VERBS} - {"demo", "measure"}))
@@ -169,6 +177,21 @@ def test_build_completes_a_store(path: Path, tmp_path: Path) -> None:
     ):  # fmt: skip
         with pytest.raises(UsageError, match=words):
             orograph.build(path, tmp_path / "no.oro", **wrong)
+
+
+def test_maps_of_light_as_files(path: Path, tmp_path: Path) -> None:
+    """As the command line writes them; an interrupted one is resumed."""
+    run("light", path, "--product", "openness,slope", "--azimuths", 8, "--byte", "-o", tmp_path / "cli.tif")
+    how: dict[str, Any] = {"azimuths": 8, "byte": True, "progress": False}
+    own = orograph.light(path, "openness,slope", output=tmp_path / "own.tif", resume=True, **how)
+    assert own == tmp_path / "own.tif" and own.read_bytes() == (tmp_path / "cli.tif").read_bytes()
+    assert not (tmp_path / "own.tif.partial").exists()
+    for wrong, words in (
+        ({"byte": True}, "`byte` is about a file"), ({"resume": True}, "`resume` is about a file"),
+        ({"output": "a.png"}, "saved as a GeoTIFF"), ({"output": path}, "overwrite"),
+    ):  # fmt: skip
+        with pytest.raises(UsageError, match=words):
+            orograph.light(path, "slope", **wrong)
 
 
 def test_synth(tmp_path: Path) -> None:

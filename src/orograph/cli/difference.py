@@ -66,7 +66,7 @@ OWN = ("onto", "resampling", "quantiles", "limit", "sigma", "range", "confidence
     help="Accept heights above two vertical datums as they are, instead of refusing them.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the statistics as JSON.")
-@grid_options("compare")
+@grid_options("compare", own_resampling=True)
 @source_options
 @vertical_options
 @memory_option

@@ -14,7 +14,6 @@ from orograph.cli.options import (
     jobs_option,
     memory_option,
     progress_of,
-    resampling_option,
     source_of,
     source_options,
     vertical_options,
@@ -39,7 +38,6 @@ DATA = (
 @scene_option("data", help=DATA)
 @uncertainty_option
 @grid_options("write")
-@resampling_option
 @click.option("--overwrite", is_flag=True, help="Replace a file that is there.")
 @source_options
 @vertical_options

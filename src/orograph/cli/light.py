@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
@@ -24,7 +22,6 @@ from orograph.cli.options import (
     vertical_options,
 )
 from orograph.cli.products import (
-    USERS,
     Names,
     check_used,
     horizon_options,
@@ -37,20 +34,11 @@ from orograph.cli.scenes import scene_option
 from orograph.cli.sections import Verb
 from orograph.scene import given
 
-if TYPE_CHECKING:
-    from orograph.lighting.context import Context, Values
-    from orograph.lighting.products import Product
-    from orograph.lighting.raster_resume import Checkpoint
-    from orograph.lighting.sun import Sun
-
 OWN = (
     "products", "azimuths", "radius", "sun", "lights", "curvature", "refraction", "exaggeration", "rays", "rho",
     "method", "cones", "date", "step", "turbidity", "byte",
 )  # fmt: skip
 """The options about light; all other options are about reading."""
-
-AT_ONCE = ("normal", "slope", "aspect", "hillshade")
-"""Products that are too quick to keep partial results of."""
 
 
 @click.command("light", cls=Verb, short_help="Make maps of light: slope, hillshade, horizons, sky, openness…")
@@ -141,10 +129,9 @@ def command(
     check_ending("--output", output)
     source = source_of(options, OWN)
     with progress.task("Loading Orograph"):
-        from orograph.lighting.context import Context, Options, weighted
-        from orograph.lighting.products import described, product
-        from orograph.lighting.raster import write
-        from orograph.lighting.raster_resume import identity
+        from orograph.lighting.context import Options, weighted
+        from orograph.lighting.maps import write_map
+        from orograph.lighting.products import product
         from orograph.lighting.sun import Sun
         from orograph.output import check_folder
         from orograph.store.prepare import prepare
@@ -167,17 +154,15 @@ def command(
             f"the sun is {round(-place.altitude, 1):g}° below the horizon: no light of it falls on the ground."
         )
     chosen = Options(**common, sun=(place.azimuth, place.altitude), lights=lights, more=more)
-    if resume and set(wanted) <= set(AT_ONCE):
-        progress.warn(f"--resume does not apply to {', '.join(wanted)}: such maps are made in one go, in seconds.")
-    bands = described(products, chosen)
-    plan = {"products": wanted, "terrain": identity(terrain), "options": repr(chosen)}
-    with _kept(output, plan) if resume else nullcontext() as kept:
-        context = Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress, kept=kept)
-        write(
-            output, terrain.grid, bands, _blocks(context, products), byte=options["byte"], jobs=jobs, progress=progress,
-            overviews="nearest" if {"aspect", "shadow"} & set(wanted) else "average",
-            tags=_tags(context, wanted, place),
+    try:
+        bands = write_map(
+            output, terrain, wanted, chosen, place, byte=options["byte"], resume=resume, jobs=jobs,
+            max_memory=max_memory, progress=progress,
         )  # fmt: skip
+    except KeyboardInterrupt as stopped:
+        for note in getattr(stopped, "__notes__", ()):
+            click.echo(f"\n{note}", err=True)
+        raise
     seconds = time.perf_counter() - began
     rows, cols = terrain.grid.shape
     if as_json:
@@ -192,61 +177,3 @@ def command(
         click.echo(json.dumps(told, allow_nan=False))
     else:
         click.echo(f"{output}  {', '.join(wanted)}  {cols} × {rows} samples  {seconds:.1f} s")
-
-
-@contextmanager
-def _kept(output: str, plan: dict[str, Any]) -> Iterator[Checkpoint]:
-    """The partial results of a map, kept until it is complete; only one process at a time makes it."""
-    from orograph.lighting.raster_resume import Checkpoint
-    from orograph.store.lock import alone
-    from orograph.store.storage import FolderStorage
-
-    with alone(FolderStorage(output), "making this map"):
-        kept = Checkpoint(Path(f"{output}.partial"), plan)
-        try:
-            yield kept
-        except KeyboardInterrupt:
-            click.echo(f"\n{output} is not complete; run the same command to go on.", err=True)
-            raise
-        kept.remove()
-
-
-def _blocks(context: Context, products: list[Product]) -> Iterator[tuple[int, int, int, Values]]:
-    """The blocks of all products with their first band; products with the same sweep share it."""
-    from orograph.lighting.gather import produce
-
-    counts = [len(each.bands(context.options)) for each in products]
-    for k, row, col, values in produce(context, products):
-        yield sum(counts[:k]), row, col, values
-
-
-def _tags(context: Context, wanted: list[str], sun: Sun) -> dict[str, str]:
-    """What a file records about how it was made: the options that affect its products."""
-    options, more = context.options, context.options.more
-    lights = options.lights or ((*options.sun, 1.0),)
-    method, rays = more.get("method", "horizon"), ("rays", "shadow-maps")
-    said = {
-        "azimuths": str(options.azimuths),
-        "radius": "unlimited" if options.radius is None else f"{options.radius:g} m",
-        "curvature": f"round, refraction {options.bending(context.terrain.grid.crs):g}"
-        if options.curvature
-        else "flat",
-        "sun": f"azimuth {options.sun[0]:.6g}, altitude {options.sun[1]:.6g} degrees",
-        "time": "" if sun.when is None else sun.when.isoformat(),
-        "lights": "; ".join(f"azimuth {a:g}, altitude {h:g} degrees, weight {w:g}" for a, h, w in lights),
-        "exaggeration": f"{options.exaggeration:g}",
-        "method": method,
-        "rays": str(options.rays) if method in rays else "",
-        "rho": str(more.get("rho", "step")),
-        "date": str(more.get("date", "")),
-        "step": f"{more.get('step', 10.0):g} minutes",
-        "turbidity": f"{more.get('turbidity', 3.0):g}",
-    }
-    if not options.lights:
-        del said["lights"]
-    elif "shadow" not in wanted:
-        del said["sun"], said["time"]
-    used = {
-        key: text for key, text in said.items() if text and set(USERS["sun" if key == "time" else key]) & set(wanted)
-    }
-    return {"software": "orograph", "product": ", ".join(wanted), "terrain": context.terrain.name, **used}

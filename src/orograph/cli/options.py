@@ -55,17 +55,20 @@ class Bytes(ParamType):
         return size
 
 
-def grid_options(doing: str) -> Callable[[F], F]:
-    """Give a verb ``crs`` and ``resolution`` of the grid to bring terrain to, and the ``area_options``.
+def grid_options(doing: str, own_resampling: bool = False) -> Callable[[F], F]:
+    """Give a verb ``crs`` and ``resolution`` of the grid to bring terrain to, how that is done, and the
+    ``area_options``.
 
     Args:
-        doing: what the verb does in that CRS ("draw", "measure"…).
+        doing: what the verb does in that CRS ("draw", "measure"…). own_resampling: it declares ``--resampling``
+            itself.
     """
     crs = click.option("--crs", help=f"Projected CRS to {doing} in.  [default: the file's own, or its UTM zone]")
     resolution = click.option(
         "--resolution", type=Float(), metavar="METRES", help="Distance between samples.  [default: the files']"
     )
-    return lambda function: area_options(crs(resolution(function)))
+    how = () if own_resampling else (resampling_option,)
+    return lambda function: with_options(function, area_options, crs, resolution, *how)
 
 
 def resampling_option(function: F) -> F:

@@ -19,27 +19,6 @@ MORE = ("rho", "method", "cones", "date", "step", "turbidity")
 """Options of single products; only those given are passed on."""
 
 
-_SKY = ("sky-view-factor", "sky-view-horizontal", "visible-sky", "openness", "openness-negative")
-_SWEPT = ("horizon", *_SKY, "ambient-occlusion", "aperture", "shadow", "insolation", "sunshine")
-USERS = {
-    "azimuths": tuple(name for name in _SWEPT if name != "shadow"),
-    "radius": _SWEPT,
-    "curvature": _SWEPT,
-    "refraction": _SWEPT,
-    "sun": ("hillshade", "shadow"),
-    "lights": ("hillshade",),
-    "exaggeration": ("hillshade",),
-    "rays": ("ambient-occlusion", "aperture"),
-    "method": ("ambient-occlusion", "aperture"),
-    "rho": ("ambient-occlusion",),
-    "cones": ("ambient-occlusion",),
-    "date": ("insolation", "sunshine"),
-    "step": ("insolation", "sunshine"),
-    "turbidity": ("insolation",),
-}
-"""The products that an option affects."""
-
-
 def check_used(ctx: click.Context, wanted: Sequence[str]) -> None:
     """Refuse options that affect none of the products: they would be ignored.
 
@@ -47,6 +26,7 @@ def check_used(ctx: click.Context, wanted: Sequence[str]) -> None:
         UsageError: an option was given that none of ``wanted`` uses.
     """
     from orograph.errors import UsageError
+    from orograph.lighting.maps import USERS
 
     if ctx.params.get("refraction") is not None and not ctx.params.get("curvature"):
         raise UsageError("--refraction needs --curvature: on a flat Earth rays are straight.")

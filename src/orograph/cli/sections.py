@@ -18,8 +18,9 @@ PARTS = {
 """Sections of a scene's options, by part."""
 
 READING = (
-    "bbox", "clip", "crs", "resolution", "band", "nodata", "spacing", "assume_crs", "encoding", "vertical_unit",
-    "assume_vertical", "to_vertical", "geoid", "max_edge", "height_column", "point_layer", "point_classes",
+    "bbox", "clip", "crs", "resolution", "resampling", "band", "nodata", "spacing", "assume_crs", "encoding",
+    "vertical_unit", "assume_vertical", "to_vertical", "geoid", "max_edge", "height_column", "point_layer",
+    "point_classes",
 )  # fmt: skip
 
 SECTION = {

@@ -30,14 +30,16 @@ from orograph.errors import UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.geo.grid import Grid
 from orograph.lighting.context import MEMORY, Context, Options
+from orograph.lighting.maps import write_map
 from orograph.lighting.products import compute, described, product
 from orograph.lighting.raster import Band, write
 from orograph.lighting.rho import Rho
-from orograph.lighting.sun import Given, sun_of
+from orograph.lighting.sun import Given, Sun, sun_of
+from orograph.output import check_folder
 from orograph.progress import Progress
 from orograph.reporting import reporting
 from orograph.several import words
-from orograph.store.given import READING, is_array_like, is_rows, the_heights
+from orograph.store.given import READING, check_apart, is_array_like, is_rows, the_heights
 from orograph.store.opening import terrain as terrain_given
 from orograph.store.terrain import Terrain
 
@@ -126,6 +128,9 @@ def make(
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
     max_memory: Amount = MEMORY,
+    output: str | os.PathLike[str] | None = None,
+    byte: bool = False,
+    resume: bool = False,
     progress: Progress | bool | None = None,
     **options: Any,
 ) -> Any:
@@ -139,6 +144,9 @@ def make(
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
         jobs: threads; None: all processors. max_memory: bytes the process should stay within.
+        output: write this GeoTIFF (.tif) instead, block by block, so that maps larger than memory work.
+        byte: of the file: 8-bit values for display, not float32 in physical units. resume: keep finished work in
+            ``OUTPUT.partial``, and go on from there after an interruption.
         progress: gets progress reports; None: bars in terminals and notebooks, and Python's warnings; False: silent.
         options: how the data are read, as for ``orograph.terrain`` (``crs``, ``band``, ``transform``…: an array with
             its place gives a ``Map``); and those of ``products.Options``: azimuths, radius, lights, curvature…, and of
@@ -146,17 +154,18 @@ def make(
 
     Returns:
         for an array (rows, cols) float32, or (bands, rows, cols) of products of several bands; for a DataArray a
-        DataArray; else a ``Map``.
+        DataArray; else a ``Map``. With ``output`` its path.
 
     Raises:
         UsageError: there is no such product, an option is wrong, or an array comes without ``cell``.
-        ReadError: the data lack something that is needed.
+        ReadError: the data lack something that is needed. OutputError: the file cannot be written.
     """
     progress, max_memory = reporting(progress), bytes_of(max_memory)
     names = words(name) or ("",)
     wanted = [product(each) for each in names]
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
+    check_output(output, data, byte=byte, resume=resume)
     data = the_heights(data)
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)
     is_array = not is_xarray and not reading and (is_rows(data) or is_array_like(data))
@@ -173,15 +182,37 @@ def make(
         if cell is not None:
             raise UsageError("The cell size applies to plain arrays only; other data have their own.")
         terrain = terrain_given(data, progress, max_memory=max_memory, jobs=jobs, called="light", **reading)
+    sun = Sun()
     if options.get("sun") is not None:
         sun = sun_of(options["sun"], terrain.grid)
         more = chosen.more if isinstance(options["sun"], tuple) else {"diameter": sun.diameter, **chosen.more}
         chosen = replace(chosen, sun=(sun.azimuth, sun.altitude), more=more)
+    if output is not None:
+        write_map(output, terrain, names, chosen, sun, byte=byte, resume=resume, jobs=jobs, max_memory=max_memory,
+                  progress=progress)  # fmt: skip
+        return Path(output)
     values = compute(Context(terrain, chosen, jobs=jobs, max_memory=max_memory, progress=progress), *names)
     if is_array:
         return values[0] if len(values) == 1 else values
     made = Map(values, terrain.grid, tuple(described(wanted, chosen)))
     return _like(made.to_xarray(), data) if is_xarray else made
+
+
+def check_output(output: str | os.PathLike[str] | None, data: Any, **how: bool) -> None:
+    """Raise UsageError or OutputError if a map cannot be written there.
+
+    Args:
+        how: ``byte`` and ``resume``.
+    """
+    if output is None:
+        given = [f"`{name}`" for name, value in how.items() if value]
+        if given:
+            raise UsageError(f"{given[0]} is about a file.", remedy="Give `output`, or save the map (`byte=True`).")
+        return
+    if Path(output).suffix.lower() not in (".tif", ".tiff"):
+        raise UsageError("A map is saved as a GeoTIFF.", path=output, remedy="Use .tif.")
+    check_folder(Path(output))
+    check_apart(output, data)
 
 
 def _linear(cell: float | tuple[float, float] | ArrayLike) -> NDArray[np.float64]:

@@ -109,7 +109,7 @@ class Options:
                 if name in ("azimuth", "altitude", "az", "alt", "angle_altitude", "elevation"):
                     remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
                 elif name in ("output", "path", "filename", "out"):
-                    remedy = "Save the result: `orograph.light(dem, 'slope').save('slope.tif')`."
+                    remedy = "Save the result: `orograph.light(dem, 'slope').save('slope.tif')`, or give its `output`."
                 else:
                     remedy = f"Did you mean {' or '.join(close)}?" if close else there
                 raise UsageError(f"There is no option {name!r}.", remedy=remedy)

@@ -6,6 +6,8 @@ neighbour, there is a gap, whose existing units are marked; missing units that a
 
 from __future__ import annotations
 
+import numpy as np
+
 from orograph._numba import leaf
 from orograph.verify.spans import sort_west_to_east
 from orograph.verify.strips import ceiling, compare, meets_unit, sides
@@ -57,9 +59,10 @@ def sweep_strip(table, members, active, n, strip, west, units, missing, codes, i
         west: the window's first column. units, missing: from ``existing_units``; codes[i], codes[i + 1]: the outcodes
             of the samples above and below.
     """
+    zero, one = np.int64(0), np.int64(1)  # (typed: Numba compiles a function once more for each constant)
     for attempt in range(2):
         disordered = False
-        pn, pstep, pd, previous = west << strip.shift, 0, 1, -1
+        pn, pstep, pd, previous = west << strip.shift, zero, one, -1
         for a in range(n):
             k = active[a]
             wn, wstep, wd, en, estep, ed = sides(table, k, strip.y0, strip.y1)
@@ -79,6 +82,6 @@ def sweep_strip(table, members, active, n, strip, west, units, missing, codes, i
         if not disordered:
             end = (west + codes.shape[1] - 1) << strip.shift
             if compare(pn, pd, end, 1) < 0.0 or compare(pn + pstep, pd, end, 1) < 0.0:
-                mark_gap(pn, pstep, pd, end, 0, 1, strip, west, units, codes, i, marks)
+                mark_gap(pn, pstep, pd, end, zero, one, strip, west, units, codes, i, marks)
             return
         sort_west_to_east(table, active, 0, n, strip.y0, strip.y1)

@@ -237,24 +237,28 @@ def sweep(ground, corners, block, lens, screen, junctions, overlapping):
     found = Found(np.zeros(COUNTS, np.int64), np.zeros((COUNTS, 2), np.int64), np.zeros(2), np.zeros(2, np.int64))
     found.pixels[0] = -1.0
     active, merged = np.empty(count, np.int64), np.empty(count, np.int64)
-    lowest, highest = np.full(width, np.inf), np.full(width, -np.inf)
+    lowest, highest = np.empty(width, np.float64), np.empty(width, np.float64)
+    for j in range(width):
+        lowest[j], highest[j] = np.inf, -np.inf
     over, under, marks = np.zeros(width + 1, np.uint8), np.zeros(width + 1, np.uint8), np.zeros(width, np.uint8)
     points, scratch = np.empty((16, 3), np.float64), np.empty((16, 3), np.float64)
     line = Line(corners.x, block.vertices, np.zeros(width + 1, np.int64), ground.west, shift)
-    missing = 0
+    missing, projected = 0, block.first
     n, head = begin(table, block, active)
     if block.first > 0:
         existing_units(ground, block.first - 1, over)
-    project_row(ground, block.first, block.first, lens, screen)
     for r in range(block.rows.shape[0]):
         y = block.rows[r]
         row, on_samples = y >> shift, y & ((1 << shift) - 1) == 0
         if on_samples:
-            under[:], missing = 0, 0
+            missing = 0
+            for j in range(width + 1):
+                under[j] = 0
             if row + 1 < ground.rows:
                 missing = existing_units(ground, row, under)
-            if row + 1 < ground.rows and row <= block.last:
-                project_row(ground, row + 1, block.first, lens, screen)
+        while projected <= row + (on_samples and row + 1 < ground.rows and row <= block.last):
+            project_row(ground, projected, block.first, lens, screen)
+            projected += 1
         # The triangles that touch this row: those of the strip above, and those that begin here.
         new = head
         while head < count and table[head, R0] == y:
