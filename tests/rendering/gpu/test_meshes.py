@@ -133,7 +133,7 @@ def test_frames_do_not_wait_for_the_method(device: Device, terrain: Terrain) -> 
         assert first.patches > 0 and not first.current and renderer.busy
         counts = []
         for view in (views()["slanted"], views()["near"]):
-            end = time.perf_counter() + 60
+            end = time.perf_counter() + 300  # (its kernels may have to be compiled)
             stats = renderer.draw(target, "rgba8unorm", scene.but(view=view))
             while not stats.current and time.perf_counter() < end:
                 time.sleep(0.01)

@@ -83,6 +83,12 @@ def assess(s, i):
         show(s, i)
 
 
+@leaf
+def assess_seldom(s, i):
+    """``assess``, for where little comes by: each inlined copy takes two seconds to compile."""
+    assess(s, i)
+
+
 # ---- splits and merges -----------------------------------------------------------------------------------------------
 
 
@@ -106,8 +112,8 @@ def now_mergeable(s, i):
         s.nodes[i].flags |= MERGEABLE
         if base >= 0:
             s.nodes[base].flags |= MERGEABLE
-            assess(s, base)
-        assess(s, i)
+            assess_seldom(s, base)
+        assess_seldom(s, i)
 
 
 @leaf
@@ -134,10 +140,10 @@ def split_diamond(s, i):
         if j >= 0:
             if nodes[j].flags & PENDING:
                 nodes[j].flags &= ~np.uint8(PENDING)
-                assess(s, j)
+                assess_seldom(s, j)
             child = np.int64(nodes[j].child)
-            assess(s, child)
-            assess(s, child + 1)
+            for k in range(child, child + 2):
+                assess(s, k)
     place(nodes, s.heads, s.occupied, s.counts, i)
     return True
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._numba import leaf
-from orograph.lod.roam.changes import assess, force_split, merge_diamond, wait
+from orograph.lod.roam.changes import assess, assess_seldom, force_split, merge_diamond, wait
 from orograph.lod.roam.mesh import (
     COMPUTED,
     CULL,
@@ -112,7 +112,7 @@ def relabel(s):
             ) and is_left_out(nodes, j):
                 if is_full(s):
                     return False
-                assess(s, j)
+                assess_seldom(s, j)
     return True
 
 
@@ -171,7 +171,7 @@ def assess_waiting(s):
         if node.state != FREE and node.flags & PENDING:
             node.flags &= ~np.uint8(PENDING)
             if node.state == LEAF or node.flags & MERGEABLE:
-                assess(s, i)
+                assess_seldom(s, i)
 
 
 @leaf
