@@ -26,6 +26,7 @@ print(doubled(NAME(21.0)))
 """
 
 
+@pytest.mark.stress
 def test_an_argument_may_have_another_type_in_the_next_version(tmp_path: Path) -> None:
     """The cache's index still names the class that there was: nobody should have to remove it."""
     for name in ("Before", "After"):
@@ -77,6 +78,7 @@ def test_kernels_are_compiled_by_another_process(tmp_path: Path) -> None:
     assert run(code, tmp_path / "here", OROGRAPH_COMPILE_AHEAD="0") == "True 1\n"
 
 
+@pytest.mark.stress
 def test_a_compiler_that_was_ended_is_started_again(tmp_path: Path) -> None:
     ended = """
     processes, piped = [], _compilers.piped
@@ -105,6 +107,7 @@ def test_a_compiler_that_does_not_start_is_tried_once(monkeypatch: pytest.Monkey
     assert len(started) == 2
 
 
+@pytest.mark.stress
 def test_what_is_interrupted_is_compiled_all_the_same(tmp_path: Path) -> None:
     interrupted = """
     import signal, threading, time, os
@@ -118,6 +121,7 @@ def test_what_is_interrupted_is_compiled_all_the_same(tmp_path: Path) -> None:
     assert run(SUMS.format(before=interrupted), tmp_path).startswith("False")
 
 
+@pytest.mark.stress
 def test_a_forked_process_has_compilers_of_its_own(tmp_path: Path) -> None:
     forked = """
     import os
@@ -166,6 +170,7 @@ LINKED = """
 """(halved: 0, 0.5, 1)"""
 
 
+@pytest.mark.stress
 def test_a_helper_gives_the_same_within_a_kernel_and_to_python(tmp_path: Path) -> None:
     """Compiled, read from the cache, and not compiled at all."""
     (tmp_path / "helpers.py").write_text(textwrap.dedent(LINKED))

@@ -178,6 +178,7 @@ def test_a_method_that_cannot_be_measured_leaves_the_others(run, hilly, tmp_path
         assert code == 2 and "It takes 9 GiB" in err and said == ""
 
 
+@pytest.mark.stress
 def test_the_sheet_has_room_for_all(hilly):
     terrain = prepare([str(hilly)])
     view = usual_views(terrain)["overview"]

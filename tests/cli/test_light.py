@@ -414,6 +414,7 @@ def test_resume_refuses_other_work_and_damage(run, hilly, tmp_path, monkeypatch)
     assert code == 0 and folder.is_dir()  # left alone
 
 
+@pytest.mark.stress
 def test_it_is_known_which_products_an_option_changes(hilly):
     """Each option against the products themselves: changed bits where it is said to matter, the same elsewhere."""
     from orograph.lighting.maps import USERS

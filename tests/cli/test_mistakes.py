@@ -152,6 +152,7 @@ def test_an_interrupt_while_something_is_collected():
     assert (done.returncode, done.stdout, done.stderr) == (0, "cleaned up\n", "")
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")
 def test_interrupts_while_a_kernel_makes_its_results():
     """Numba does not look for an exception there: without care one of these many crashes the interpreter."""
@@ -243,6 +244,7 @@ cli.main()
     assert ran.returncode == 130 and "interrupted" in ran.stderr and "fault" not in ran.stderr, ran.stderr
 
 
+@pytest.mark.stress
 def test_a_codec_that_breaks_numcodecs(tmp_path: Path):
     """As zfpy does that was built for another NumPy: stores work, and doctor tells."""
     (tmp_path / "zfpy-1.0.1.dist-info").mkdir()

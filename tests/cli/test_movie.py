@@ -78,6 +78,7 @@ def test_frames_are_what_render_draws(run, hilly, tour, tmp_path):
     assert np.array_equal(np.asarray(Image.open(tmp_path / "a.png")), np.asarray(Image.open(tmp_path / "f" / "0.png")))
 
 
+@pytest.mark.stress
 def test_frames_are_taken_up_where_they_stopped(run, hilly, tour, tmp_path):
     out = tmp_path / "f" / "%03d.png"
     whole = ("movie", hilly, "--tour", tour, "-o", out, "--quiet", "--sky")
@@ -247,6 +248,7 @@ def test_a_video_on_a_full_disk_is_whole_or_not_there(tmp_path, small_disk, endi
     assert 0 < written < 10
 
 
+@pytest.mark.stress
 def test_frames_that_a_full_disk_cuts_off_are_taken_up_or_not_there(run, hilly, small_disk, tmp_path):
     disk = small_disk(40)
     code, _, err = run("movie", hilly, *SPIN, "-o", disk / "%03d.png", *SMALL)
@@ -266,6 +268,7 @@ def test_frames_that_a_full_disk_cuts_off_are_taken_up_or_not_there(run, hilly, 
         assert not list(disk.iterdir())
 
 
+@pytest.mark.stress
 def test_a_film_in_parts(run, hilly, tmp_path):
     said = ("movie", hilly, *SPIN, "-o", tmp_path / "f" / "%03d.png", *SMALL)
     assert run("movie", hilly, *SPIN, "-o", tmp_path / "whole" / "%03d.png", *SMALL)[0] == 0

@@ -547,6 +547,7 @@ def process(*args, **kwargs):
     return [sys.executable, "-m", "orograph", *map(str, args)], {"text": True, "cwd": kwargs.pop("cwd", None), **kwargs}
 
 
+@pytest.mark.stress
 def test_results_and_progress_keep_apart(dem, tmp_path):
     line, options = process("render", dem, "-o", "a.png", "--size", "160x90", "--json", cwd=tmp_path)
     ran = subprocess.run(line, capture_output=True, timeout=120, **options)
@@ -556,6 +557,7 @@ def test_results_and_progress_keep_apart(dem, tmp_path):
     assert ran.returncode == 4 and ran.stdout == "" and "Traceback" not in ran.stderr
 
 
+@pytest.mark.stress
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_ctrl_c(tmp_path):
     heights = np.random.default_rng(0).normal(500, 100, (1500, 1500)).astype(np.float32)
@@ -585,6 +587,7 @@ def test_a_wrong_view_is_said_before_anything_is_read(run, tmp_path):
     assert code == 2 and "v.json" in err and "same point" in err
 
 
+@pytest.mark.stress
 def test_sizes_on_paper(run, dem, tmp_path):
     out = tmp_path / "a.png"
     for size, pixels, dpi in (

@@ -76,6 +76,7 @@ def test_virtual_rasters_stores_and_grids(folder, tmp_path):
     assert inside(tmp_path / "grids").rasters == [str(grid)] and not is_folder(grid)
 
 
+@pytest.mark.stress
 def test_every_way_in(folder, tmp_path):
     files = [folder / "a.TIF", folder / "b.tif", folder / "more" / "c.tiff"]
     wanted = orograph.terrain(files).grid

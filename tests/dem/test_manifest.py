@@ -294,6 +294,7 @@ def test_many_files_are_opened_by_other_processes(
     assert (tmp_path / "a.manifest.geojsonl").read_text() == (tmp_path / "b.manifest.geojsonl").read_text()
 
 
+@pytest.mark.stress
 def test_errors_of_other_processes_are_those_of_this_one(tiles: list[Path], monkeypatch: Any) -> None:
     tiles[1].write_bytes(b"II*\0 and nothing else")
     tiles[2].unlink()

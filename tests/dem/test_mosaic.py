@@ -328,6 +328,7 @@ def california(data: Path) -> Sequence[Path]:
     return sorted((data / "california-3s-tiles").glob("N3[67]W11[89].tif"))
 
 
+@pytest.mark.stress
 def test_no_seam_between_real_tiles(shared_data: Path) -> None:
     """Across shared edges the steps from sample to sample are no larger than within the tiles."""
     m = Mosaic.open(california(shared_data))

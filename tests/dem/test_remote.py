@@ -52,6 +52,7 @@ def orograph(server, *args):
     return done.returncode, done.stdout + done.stderr
 
 
+@pytest.mark.stress
 def test_a_raster_in_a_bucket_is_built_into_a_store_with_its_mask_from_a_busy_server(server, raster, tmp_path):
     masks = [path for path in raster.parent.iterdir() if path != raster]
     for path in (raster, *masks):

@@ -199,6 +199,7 @@ def test_it_is_a_landscape(terrain: tuple[Synth, NDArray[np.float32]]) -> None:
     assert uphill.mean() < 0.02
 
 
+@pytest.mark.stress
 def test_seed_shape_and_roughness_matter(terrain: tuple[Synth, NDArray[np.float32]]) -> None:
     whole = terrain[1]
     assert np.abs(Synth(SHAPE, 6).read(0, 64, 0, 64) - whole[:64, :64]).max() > 1
@@ -243,6 +244,7 @@ def test_sizes_on_the_command_line() -> None:
 # -- the file ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.stress
 def test_the_file_is_the_terrain_whatever_the_jobs(terrain: tuple[Synth, NDArray[np.float32]], tmp_path: Path) -> None:
     synth, whole = terrain
     for jobs in (1, 3):

@@ -85,6 +85,7 @@ def test_bounds_over_spheres_hold_for_every_point_in_view(metric):
     assert tightest > (0.99 if metric == ANISOTROPIC else 0.6)  # it is no idle bound
 
 
+@pytest.mark.stress
 def test_bounds_over_prisms_hold_and_are_extreme_at_corners():
     rng = np.random.default_rng(3)
     tested, tightest = 0, 0.0
@@ -161,6 +162,7 @@ def compiled(camera, metric, col, row, z, e, r):
     return exceeds, straight, depth, screen.sphere_bound(camera, metric, x, y, w, e, r)
 
 
+@pytest.mark.stress
 def test_tests_without_division_agree_with_the_bounds():
     rng = np.random.default_rng(5)
     both = set()

@@ -80,6 +80,7 @@ def test_with_its_grid_nothing_is_said(tmp_path: Path) -> None:
         datadir.set_data_dir(before)
 
 
+@pytest.mark.stress
 @needs_no_grid
 def test_a_mosaic_warns(tmp_path: Path) -> None:
     def write(name: str, crs: str, left: float) -> Path:

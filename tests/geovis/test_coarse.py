@@ -110,6 +110,7 @@ def test_texels_are_those_of_the_file(tmp_path: Path, kind: str) -> None:
         np.testing.assert_array_equal(kept.read(k, a, rows, b, cols)[0], found[a:, b:])
 
 
+@pytest.mark.stress
 def test_what_was_interrupted_goes_on_and_is_made_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept = levels_of(write(tmp_path / "a.tif"))
     with pytest.raises(Stopped):
@@ -158,6 +159,7 @@ def test_a_damaged_block_is_made_again_and_a_changed_file_has_its_own(tmp_path: 
     assert after.folder != before and after.made == 0
 
 
+@pytest.mark.stress
 def test_threads_that_want_the_same_block_make_it_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     kept, reads, read = levels_of(write(tmp_path / "a.tif")), [], CoarseLevels._read
     monkeypatch.setattr(CoarseLevels, "_read", lambda self, run, *more: (reads.append(run), read(self, run, *more)))
@@ -169,6 +171,7 @@ def test_threads_that_want_the_same_block_make_it_once(tmp_path: Path, monkeypat
     assert kept.complete and sorted(b for run in reads for b in run) == kept.blocks
 
 
+@pytest.mark.stress
 def test_a_folder_that_cannot_be_written_is_told_with_what_to_do(tmp_path: Path, cache: Path) -> None:
     cache.write_text("a file")
     kept = levels_of(write(tmp_path / "a.tif"))
@@ -195,6 +198,7 @@ def test_pictures_are_those_of_the_whole_file(tmp_path: Path, monkeypatch: pytes
     np.testing.assert_allclose(got, truth, atol=0.03)
 
 
+@pytest.mark.stress
 def test_a_picture_whose_tiles_do_not_fit_is_coarser_and_reads_each_once(tmp_path: Path) -> None:
     path = write(tmp_path / "a.tif")
     side = 1300

@@ -211,6 +211,7 @@ def test_split_is_the_coarsest_refinement(n: int, data) -> None:
         assert fronts.split(front_of(active), *more.T) == front_of(diamonds.closure(both))
 
 
+@pytest.mark.stress
 @settings(max_examples=50)
 @given(SIZES, st.data())
 def test_merge_only_when_legal(n: int, data) -> None:

@@ -167,6 +167,7 @@ def test_what_is_no_rho():
         ambient_occlusion(np.zeros((4, 4)), np.zeros((2, 2)))
 
 
+@pytest.mark.stress
 def test_what_does_not_fit_in_memory_says_so():
     from orograph.lighting.arrays import context_of
     from orograph.lighting.context import Options

@@ -294,6 +294,7 @@ def test_budgets():
     assert method.select(camera, Goal(0.0)).bound == 0.0
 
 
+@pytest.mark.stress
 def test_tiles_that_are_lacking_are_told():
     t = plain.terrain(plain.rough(np.random.default_rng(11), (600, 600)))
     method = make(t, 16)

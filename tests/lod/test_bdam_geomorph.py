@@ -157,6 +157,7 @@ def largest_jump(t, meshes, view):
     return max(float(np.hypot(*(b - a).T).max()) for a, b in itertools.pairwise(screens))
 
 
+@pytest.mark.stress
 def test_the_surface_moves_without_a_jump():
     """Through tolerances two thousandths apart: without geomorphs something pops, with them nothing does."""
     t = plain.terrain(plain.rough(np.random.default_rng(3), (129, 129)))

@@ -336,6 +336,7 @@ def test_a_store_has_them(tmp_path):
         np.testing.assert_array_equal(found.triangles, wanted.triangles)
 
 
+@pytest.mark.stress
 def test_the_same_bytes_whatever_else_is_stored_and_damage_is_mended(tmp_path):
     z = plain.rough(np.random.default_rng(7), (300, 411))
     dem = Dem(z, plain.terrain(z).grid)

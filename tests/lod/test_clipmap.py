@@ -208,6 +208,7 @@ def test_no_defect_on_any_ground_and_promises_are_kept(shape):
             assert selection.bound is None or report.ok(tolerance), (k, options, report.largest, tolerance)
 
 
+@pytest.mark.stress
 def test_single_missing_samples_stay_holes_in_every_ring():
     """Holes that begin at a sample of a coarse level, between its samples, and on a window's side."""
     rng = np.random.default_rng(5)

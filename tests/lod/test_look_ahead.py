@@ -40,6 +40,7 @@ def displaced(p: plain.Plain, camera: plain.Camera, row: int, col: int) -> float
     return worst
 
 
+@pytest.mark.stress
 def test_what_is_pruned_is_what_looking_everywhere_finds():
     """On 9² samples six halvings reach every finest triangle."""
     rng = np.random.default_rng(1)
@@ -140,6 +141,7 @@ def test_hard_views(where):
             assert verify.judge_mesh(mesh, t, view).ok(tolerance)
 
 
+@pytest.mark.stress
 def test_pages_that_are_missing_are_read_first(tmp_path):
     rng = np.random.default_rng(12)
     t = plain.terrain(plain.rough(rng, (1025, 900), amplitude=900.0, gaps=0.01))

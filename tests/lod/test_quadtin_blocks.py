@@ -79,6 +79,7 @@ def paged(monkeypatch, side=20):
     monkeypatch.setattr(quadtin_tree, "AT_ONCE", 0)
 
 
+@pytest.mark.stress
 def test_what_is_in_memory_changes_nothing(monkeypatch):
     for name, t in terrains():
         monkeypatch.undo()
@@ -109,6 +110,7 @@ def test_a_view_of_little_reads_little(monkeypatch):
     assert len(resident.tree.vertices) < 0.2 * resident.source.summary.vertices.sum()
 
 
+@pytest.mark.stress
 def test_the_promise_is_kept_by_parts(monkeypatch):
     paged(monkeypatch)
     promised = 0

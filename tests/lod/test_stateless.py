@@ -60,6 +60,7 @@ def test_every_budget_is_kept_by_a_valid_mesh(shape):
         assert found.stats["tolerance"] == 0.0
 
 
+@pytest.mark.stress
 def test_ties_are_closed_at_every_budget():
     """On a regular surface seen from straight above its middle, whole orbits of diamonds have one priority."""
     side = 17
@@ -92,6 +93,7 @@ def test_time_is_kept_and_the_mesh_is_closed():
     assert counts[0] < counts[-1]
 
 
+@pytest.mark.stress
 def test_little_memory_gives_the_same_mesh():
     rng = np.random.default_rng(11)
     t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)

@@ -273,6 +273,7 @@ def test_budgets():
     assert not verify.judge_mesh(method.refine(view, seconds=0.05), t, view).defects
 
 
+@pytest.mark.stress
 def test_little_memory_gives_the_same_mesh():
     rng = np.random.default_rng(11)
     t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)

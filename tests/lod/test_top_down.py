@@ -142,6 +142,7 @@ def test_fifo_reaches_a_budget_by_tolerance():
     assert verify.judge_mesh(found, t, view).ok(found.stats["tolerance"])
 
 
+@pytest.mark.stress
 def test_time_is_kept():
     rng = np.random.default_rng(10)
     t = plain.terrain(plain.rough(rng, (1025, 1025), amplitude=800))
@@ -156,6 +157,7 @@ def test_time_is_kept():
         assert verify.judge_mesh(m, t, view).ok(m.stats["tolerance"] if m.stats["conservative"] else np.inf)
 
 
+@pytest.mark.stress
 def test_little_memory_gives_the_same_mesh():
     rng = np.random.default_rng(11)
     t = plain.terrain(plain.rough(rng, (1500, 1100), amplitude=800, gaps=0.02), cell=10)

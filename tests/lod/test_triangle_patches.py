@@ -589,6 +589,7 @@ class Gated:
         return self.table.read(*what)
 
 
+@pytest.mark.stress
 def test_a_view_need_not_wait_for_errors(monkeypatch):
     from orograph.lod.patches import pager
 
@@ -624,6 +625,7 @@ def test_a_view_need_not_wait_for_errors(monkeypatch):
     assert np.array_equal(method.patches(view, 1.0).instances, wanted)
 
 
+@pytest.mark.stress
 def test_pages_that_are_used_stay_while_others_come():
     t = plain.terrain(plain.rough(np.random.default_rng(18), (1500, 1100)))
     method = plain.refiner(TrianglePatches, t, legs=2, max_memory=12 << 20)

@@ -192,6 +192,7 @@ def test_true_areas_are_those_of_the_ellipsoid(crs, east, north):
     assert high.surface == pytest.approx(high.plan * (1 + 3000 / 6_371_008.8) ** 2, rel=1e-11)
 
 
+@pytest.mark.stress
 def test_a_store_gives_the_same(tmp_path):
     h = rough((600, 600), 2)
     memory = terrain_of(h, crs="EPSG:32611")

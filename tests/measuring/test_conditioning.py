@@ -97,6 +97,7 @@ def test_means_and_deviations_are_those_of_the_conditional_distribution(tau):
     np.testing.assert_allclose(draws.std(0), left, atol=0.35)
 
 
+@pytest.mark.stress
 def test_a_flood_hears_check_points_in_closed_form_and_in_draws():
     terrain = orograph.terrain(np.full((30, 30), 10, np.float32), transform=from_origin(500_000, 5_600_000, 10, 10),
                                crs=UTM)  # fmt: skip

@@ -76,6 +76,7 @@ def same(a: Lines, b: Lines) -> bool:
     return all(np.array_equal(getattr(a, n), getattr(b, n)) for n in ("points", "offsets", "level"))
 
 
+@pytest.mark.stress
 @settings(max_examples=60, deadline=None)
 @given(st.integers(2, 9), st.integers(2, 9), st.integers(0, 2**32 - 1), st.sampled_from([2, 3, 4, 5]))
 def test_pieces_are_those_of_a_plain_march(rows, cols, seed, side):
@@ -172,6 +173,7 @@ def distance(points, line):
     return np.linalg.norm(points[:, None] - (a + t[..., None] * step), axis=-1).min(1)
 
 
+@pytest.mark.stress
 def test_simplified_lines_keep_the_bound_and_their_rings():
     rng = np.random.default_rng(5)
     y, x = np.mgrid[:90, :90]

@@ -325,6 +325,7 @@ def test_threads_memory_and_stores_change_nothing(tmp_path, reach):
         np.testing.assert_array_equal(first, measure(store, jobs=3, max_memory=1 << 16).values())
 
 
+@pytest.mark.stress
 def test_a_file_and_data_say_what_they_are(tmp_path):
     import orograph
 

@@ -142,6 +142,7 @@ def test_on_a_ball_with_true_curvature_it_is_the_horizon_too():
     assert (values[distance < contact - 25] == 1).all() and (values[distance > contact + 25] == 0).all()
 
 
+@pytest.mark.stress
 def test_real_ground_against_lines_of_sight(shared_data):
     with rasterio.open(next((shared_data / "bigtujunga-srtm30m-utm").glob("*.tif"))) as file:
         h = file.read(1, window=((100, 400), (200, 600))).astype(np.float32)

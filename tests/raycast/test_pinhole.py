@@ -321,6 +321,7 @@ def test_the_smallest_pyramids_tell_the_range_of_heights() -> None:
         assert build_mips(h).height_range == (h.min(), h.max())
 
 
+@pytest.mark.stress
 def test_rays_that_come_in_through_the_side_of_the_terrain() -> None:
     """Above the surface at its side wall, or below it: seen from beside, across a hole in the first row of cells."""
     h = np.random.default_rng(2).normal(0, 1.5, (40, 50)).astype(np.float32)

@@ -55,6 +55,7 @@ def test_a_picture_is_that_of_its_scenario(ground, data, metres, name):
     np.testing.assert_array_equal(one.pixels[:, :40], other.pixels[:, :40])
 
 
+@pytest.mark.stress
 def test_a_film_changes_by_degrees(ground, data):
     """From near the ground up and away, then a stop: approach, overflight, re-planning."""
     tour = _tour(ground, [(0, -2000, 300), (4, -1200, 300), (12, 1000, 2500), (22, 1010, 2500)])

@@ -170,6 +170,7 @@ def test_what_makes_no_sense_is_refused(make, says):
     assert says in f"{told.value.what} {told.value.remedy}"
 
 
+@pytest.mark.stress
 def test_shapes_that_are_no_region_are_refused(ground, data, tmp_path):
     line = shape(ground, "LineString", [(10, 45), (110, 45)])
     with pytest.raises(UsageError, match="needs a width"):

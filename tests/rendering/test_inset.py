@@ -97,6 +97,7 @@ def test_large_pictures_have_the_same(tmp_path):
     np.testing.assert_array_equal(large, whole.pixels)
 
 
+@pytest.mark.stress
 def test_the_gpu_has_it_too(device):
     terrain = ground()
     cpu, gpu = (

@@ -143,6 +143,7 @@ def test_fading_is_continuous_and_labels_stay_where_they_are(terrain: Terrain) -
     assert memo > 150
 
 
+@pytest.mark.stress
 def test_a_tile_has_the_labels_of_its_picture(terrain: Terrain) -> None:
     scene = scenes(terrain)["slanted"]
     whole = draw(scene).pixels

@@ -125,6 +125,7 @@ def test_a_ridge_that_hides_nothing_has_a_crease() -> None:
         assert np.ptp(found) < 0.6  # straight: it does not jump from pixel to pixel
 
 
+@pytest.mark.stress
 def test_gentle_ridges_have_no_crease_and_lines_come_by_degrees() -> None:
     """Tilting a camera by degrees changes how heavy the crease is by degrees, from nothing."""
     terrain = ridge(0.43)

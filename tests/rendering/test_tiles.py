@@ -251,6 +251,7 @@ def test_tiles_are_small_where_it_takes_long():
     assert max(wide for left, _, wide, _ in band if left < 4096) > 1024
 
 
+@pytest.mark.stress
 def test_the_coarse_pass_knows_sky_from_ground():
     """Half of the picture shows nothing: that half costs less."""
     land = ground()

@@ -44,6 +44,7 @@ def s3(server, monkeypatch):
     server.well()
 
 
+@pytest.mark.stress
 def test_parts_and_their_finish_make_what_one_process_makes(s3, tmp_path):
     given, url = source(HEIGHTS), "s3://terrain/parts.oro"
     store.build(given, tmp_path / "whole.oro", errors=(), **SIZES).close()

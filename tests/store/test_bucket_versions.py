@@ -262,6 +262,7 @@ def test_readers_during_an_update(area):
     assert seen and all(version == 1 and np.array_equal(heights, states[0]) for version, heights in seen)
 
 
+@pytest.mark.stress
 def test_a_store_that_was_built_without_updates_becomes_version_1(s3, tmp_path):
     files, url = grid_of_tiles(tmp_path / "tiles", 2), "s3://terrain/plain/area.oro"
     build(files, url, **SHORT).close()
@@ -367,6 +368,7 @@ def test_versions_are_read_over_http_and_from_a_copy_of_the_bucket(area, tmp_pat
     build(files, copy.path, overwrite=True, **SHORT).close()
 
 
+@pytest.mark.stress
 def test_refusals(area, tmp_path):
     changed, url, files = area
     changed(1)

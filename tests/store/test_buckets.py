@@ -118,6 +118,7 @@ def test_a_bucket_that_stays_busy_is_an_error_that_says_so(s3):
     assert s3.asked["GET"] == 9
 
 
+@pytest.mark.stress
 def test_a_stale_listing_does_not_bring_back_what_an_earlier_build_has_left(s3):
     """The parts of a build that was interrupted are not listed when they are to be removed."""
     url = "s3://terrain/stale.oro"
@@ -135,6 +136,7 @@ def interrupted(heights, url, puts, **options):
         store.build(heights, url, jobs=1, **SIZES, **options)
 
 
+@pytest.mark.stress
 def test_an_interrupted_build_is_resumed_to_the_same_bytes(s3, local):
     url = "s3://terrain/resumed.oro"
     interrupted(source(HEIGHTS), url, 30)

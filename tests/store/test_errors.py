@@ -82,6 +82,7 @@ def test_any_shape_any_shards_any_threads(tmp_path_factory, rows, cols, sizes, j
         same_as_memory(heights, terrain)
 
 
+@pytest.mark.stress
 @settings(deadline=None, max_examples=40)
 @given(st.data())
 def test_any_window(built, data):

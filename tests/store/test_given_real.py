@@ -68,6 +68,7 @@ def test_tiles_are_put_together_whatever_they_come_as(shared_data: Path) -> None
         same(orograph.terrain([orograph.read(tiles[0]), second]), truth)
 
 
+@pytest.mark.stress
 def test_samples_of_all_types(shared_data: Path) -> None:
     read = 0
     for path in sorted((shared_data / "nasty-gdal").glob("*.tif")):

@@ -55,6 +55,7 @@ def test_missing_parts_are_named(tmp_path):
         store.build(given, tmp_path / "s", part="2/6", **SIZES)
 
 
+@pytest.mark.stress
 def test_a_part_that_was_damaged_is_named_and_made_again(tmp_path):
     given = source(rough((700, 530), 4))
     store.build(given, tmp_path / "whole", **SIZES).close()
@@ -68,6 +69,7 @@ def test_a_part_that_was_damaged_is_named_and_made_again(tmp_path):
     assert files(tmp_path / "s") == files(tmp_path / "whole")
 
 
+@pytest.mark.stress
 def test_a_part_goes_on_where_it_stopped(tmp_path, monkeypatch):
     given = source(rough((700, 530), 4))
     store.build(given, tmp_path / "whole", **SIZES).close()

@@ -64,6 +64,7 @@ def area(made, tmp_path):
     return shutil.copytree(made / "s.oro", tmp_path / "s.oro")
 
 
+@pytest.mark.stress
 def test_at_all_samples_of_a_real_raster_the_store_says_what_the_raster_says(shared_data, tmp_path):
     path = shared_data / "n44w072-hgt" / "N44W072.hgt"
     with rasterio.open(path) as file:
@@ -215,6 +216,7 @@ def test_what_was_lost_does_not_depend_on_the_shards(tmp_path):
     assert lost[0] == lost[1] == lost[2]
 
 
+@pytest.mark.stress
 def test_samples_under_a_finer_lattice_do_not_count(tmp_path):
     fine, coarse = degrees(rough((70, 60), 7) + 5000, cell=CELL / 3), degrees(rough((60, 60), 8))
     mosaic = Mosaic([coarse, fine])

@@ -85,6 +85,7 @@ def test_levels_whose_cells_outgrow_a_shard_have_a_bound_too(tmp_path, hole):
         np.testing.assert_array_equal(terrain.read_mean(level, 0, h, 0, w), whole.read_mean(level, 0, h, 0, w))
 
 
+@pytest.mark.stress
 def test_a_spike_in_a_hole_of_the_level_below_is_not_lost(tmp_path):
     """The nested sum is blind there: level 4 has no triangle under the spike, level 5 has one."""
     heights = np.zeros((40, 4200), np.float32)

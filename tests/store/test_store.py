@@ -70,6 +70,7 @@ def test_any_window(built, data):
         np.testing.assert_array_equal(terrain.read(0, r0, r1, c0, c1), HEIGHTS[r0:r1, c0:c1])
 
 
+@pytest.mark.stress
 def test_the_bytes_do_not_depend_on_the_number_of_threads(tmp_path):
     for jobs in (1, 3):
         store.build(source(HEIGHTS), tmp_path / f"{jobs}", shard=64, chunk=16, jobs=jobs)

@@ -223,6 +223,7 @@ def test_the_mesh_of_the_insertion_is_that_of_its_marks(shape):
             assert drawn(work.mesh) == ours, at
 
 
+@pytest.mark.stress
 def test_greedy_insertion_begins_where_the_reference_s_does():
     t = ground((65, 65))
     for at, place in diamonds_of(t, 4):

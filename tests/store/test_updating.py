@@ -111,6 +111,7 @@ def made(monkeypatch) -> tuple[list, list]:
     return heights, errors
 
 
+@pytest.mark.stress
 def test_only_what_follows_of_a_changed_file_is_made_again(tmp_path, monkeypatch):
     files = grid_of_tiles(tmp_path / "tiles", 8)
     store = tmp_path / "area.oro"
@@ -125,6 +126,7 @@ def test_only_what_follows_of_a_changed_file_is_made_again(tmp_path, monkeypatch
     assert not heights and not errors
 
 
+@pytest.mark.stress
 def test_another_range_of_heights_makes_all_errors_again(tmp_path, monkeypatch):
     files = grid_of_tiles(tmp_path / "tiles")
     store = tmp_path / "area.oro"
@@ -215,6 +217,7 @@ def test_what_cannot_be_updated_is_made_again_and_a_note_says_why(tmp_path):
     assert "sources or options" not in again(files[:6][::-1], errors=("midpoint",))
 
 
+@pytest.mark.stress
 def test_an_interrupted_update_goes_on_and_a_later_change_counts(tmp_path, monkeypatch):
     files = grid_of_tiles(tmp_path / "tiles")
     store = tmp_path / "area.oro"
@@ -238,6 +241,7 @@ def test_an_interrupted_update_goes_on_and_a_later_change_counts(tmp_path, monke
     assert not (tmp_path / "area.oro.partial").exists()
 
 
+@pytest.mark.stress
 def test_shards_that_were_damaged_meanwhile_are_made_again(tmp_path):
     files = grid_of_tiles(tmp_path / "tiles")
     store = tmp_path / "area.oro"

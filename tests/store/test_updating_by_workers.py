@@ -37,6 +37,7 @@ def test_in_a_folder(tmp_path, client, more):  # noqa: F811
         assert terrain.check() == []
 
 
+@pytest.mark.stress
 def test_only_what_follows_of_a_change_is_made_again(tmp_path, client, monkeypatch):  # noqa: F811
     from orograph.store import clusters
 

@@ -69,6 +69,7 @@ def test_windows_fit_and_an_example_may_be_in_memory(lidar: Path) -> None:
     assert not np.array_equal(again.heights, made.read(0, 40, 0, 40))
 
 
+@pytest.mark.stress
 def test_a_store_is_what_the_file_is(lidar: Path, tmp_path: Path) -> None:
     path = tmp_path / "like.oro"
     said = ["-o", str(path), "--size", "700x530", "--seed", "4", "--exemplar", str(lidar), "--passes", "1,2,0"]

@@ -71,6 +71,7 @@ def test_frames_show_moments_evenly_from_the_first_to_the_last_with_values_linea
     assert (fact["times"], fact["between"]) == (3, "linear")
 
 
+@pytest.mark.stress
 def test_a_frame_is_the_picture_of_its_moment(ground):
     film = film_of(ground, Dataset(series(1), time="2020-01-01..2020-01-02", name="T", style="segmented"))
     scene = film.scene(5)
@@ -113,6 +114,7 @@ def test_flows_and_sections_change_too(ground, style):
         assert (first != later).any()
 
 
+@pytest.mark.stress
 @settings(deadline=None, max_examples=30)
 @given(st.floats(0.5, 120), st.floats(0.01, 3.0), st.integers(2, 50))
 def test_members_change_at_most_as_often_as_asked(fps, rate, count):
@@ -135,6 +137,7 @@ def film_hold(fps: float, rate: float) -> int:
     return playing.data[0].hold
 
 
+@pytest.mark.stress
 def test_members_are_shown_in_turn_at_each_moment(ground):
     source = series()
     doubt = Uncertainty("spread", style="members", rate=2.5)

@@ -167,6 +167,7 @@ def test_stores_files_and_arrays(pair, tmp_path):
     assert 0 < part.statistics.count < x.values.size * 400
 
 
+@pytest.mark.stress
 def test_a_picture_is_centred_at_zero(tmp_path):
     x = np.mgrid[:80, :100][1]
     place = Affine(30, 0, 500_000, 0, -30, 4_000_000)

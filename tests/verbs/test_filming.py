@@ -39,6 +39,7 @@ def whole(terrain, tmp_path_factory):
     return frames(folder)
 
 
+@pytest.mark.stress
 def test_parts_make_the_film(terrain, whole, tmp_path):
     out = tmp_path / "f" / "%03d.png"
     with pytest.raises(StoreError, match="No part"):
@@ -55,6 +56,7 @@ def test_parts_make_the_film(terrain, whole, tmp_path):
     assert frames(tmp_path / "f") == whole
 
 
+@pytest.mark.stress
 def test_parts_make_the_video(terrain, tmp_path):
     pytest.importorskip("av")
     orograph.movie(terrain, tmp_path / "a.mp4", jobs=1, **HOW)

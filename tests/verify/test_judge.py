@@ -451,6 +451,7 @@ side = st.integers(1, 1 << 30)
 column = st.integers(0, (1 << 30) - 1)
 
 
+@pytest.mark.stress
 @settings(max_examples=300, deadline=None)
 @given(column, column, side, column, column, side, st.integers(0, 1), st.data())
 def test_fractions_are_exact_at_the_largest_rasters(a, b, d, e, f, g, half, data):

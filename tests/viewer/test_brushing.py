@@ -117,6 +117,7 @@ def test_dragging_over_a_histogram_selects(window, hand):
     hand.until(lambda: window.brush.empty)
 
 
+@pytest.mark.stress
 def test_the_best_view_of_a_selection_is_flown_to(window, hand):
     give(window, posts(window))
     before = window.session.view

@@ -40,6 +40,7 @@ def place_of(hand, monkeypatch, label: str) -> tuple[float, float]:
     return found[-1]
 
 
+@pytest.mark.stress
 def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     """Ctrl may be let go before a frame was drawn: it was down when the button was."""
     window.session.settings.sun.mode = "placed"
@@ -60,6 +61,7 @@ def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     assert window.session.settings.sun.azimuth == 123.0
 
 
+@pytest.mark.stress
 def test_what_is_typed_at_once_into_a_field_is_no_command(window, hand):
     """Keys come before a frame was drawn that could tell that the field has the keyboard."""
     hand.rest()
@@ -140,6 +142,7 @@ def test_a_home_that_nobody_knows_is_told(window, hand):
     hand.frames(3)
 
 
+@pytest.mark.stress
 def test_messages_lie_before_the_tool_and_within_the_window(window, hand):
     hand.key("m")
     hand.frames(3)
@@ -197,6 +200,7 @@ def test_an_area_is_saved_as_what_measure_takes(window, hand, dem, tmp_path, mon
     assert json.loads(done.output)["surface_m2"] == pytest.approx(tools.result.surface, rel=1e-9)
 
 
+@pytest.mark.stress
 def test_the_tool_follows_the_terrain_until_it_is_moved(window, hand):
     hand.key("m")
     hand.frames(3)
@@ -221,6 +225,7 @@ def test_the_tool_follows_the_terrain_until_it_is_moved(window, hand):
     assert tool.pos.x + tool.size.x <= 500 and tool.pos.y + tool.size.y <= 300
 
 
+@pytest.mark.stress
 def test_what_is_under_a_resting_pointer_is_told_when_the_camera_moves(window, hand):
     hand.rest()
     hand.move(300, 430)

@@ -131,6 +131,7 @@ def test_lamps_shine_where_the_light_knows_them(terrain):
     assert settings.scene(terrain, view).lighting.lamps == ()
 
 
+@pytest.mark.stress
 def test_data_are_painted_once_and_stand():
     terrain = orograph.terrain(np.add.outer(np.arange(30.0), np.arange(40.0)).astype(np.float32), spacing=10.0)
     values = np.linspace(0, 1, 1200, dtype=np.float32).reshape(30, 40)
@@ -249,6 +250,7 @@ def taken(settings, gate, ready):
     return settings.finish()
 
 
+@pytest.mark.stress
 def test_data_are_painted_by_a_thread_coarsely_and_then_finely(stepwise):
     terrain, settings, gate = stepwise
     whole = texels(settings)

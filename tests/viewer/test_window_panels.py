@@ -293,6 +293,7 @@ def test_a_method_that_is_added_is_in_the_panel(window, hand, monkeypatch, tmp_p
         assert seen["legs"][0] == "combo" and not [m.text for m in window.session.messages.shown if m.error]
 
 
+@pytest.mark.stress
 def test_normals_are_chosen(window, hand):
     settings = window.session.settings
     settings.tolerance = 16.0

@@ -127,6 +127,7 @@ def test_scenarios_follow_height_and_speed(window):
     assert k == pytest.approx(BLENDED / 0.1, abs=2) and made.shares == pytest.approx((0, 1, 0))
 
 
+@pytest.mark.stress
 def test_a_flight_is_shown_and_refuses_priorities(window):
     terrain = window.session.terrain
     settings = Settings(terrain, flight="100:300:10:50", data=values(terrain))

@@ -64,6 +64,7 @@ def vortex(rows=60, cols=70):
     return -dy / size, dx / size, size
 
 
+@pytest.mark.stress
 def test_the_kernel_is_what_plain_numpy_says():
     across, down, _ = vortex()
     across[:10, :20] = down[:10, :20] = 0
@@ -130,6 +131,7 @@ def test_steps_are_metres_on_the_surface(tmp_path):
     assert lags[0] / lags[1] == pytest.approx(2, rel=0.25)
 
 
+@pytest.mark.stress
 def test_where_there_is_no_flow_there_is_no_streak(tmp_path):
     u = np.full((32, 40), 5.0)
     u[:, :20] = np.nan

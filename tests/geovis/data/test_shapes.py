@@ -141,6 +141,7 @@ def test_rings_and_lines_are_cut_to_a_box():
         )
 
 
+@pytest.mark.stress
 def test_edges_bend_as_their_projection_bends_them():
     grid = terrain_of(400, 500, Affine(1000, 0, 300_000, 0, -1000, 6_400_000)).grid
     ring = [[-6.0, 54.6], [1.0, 54.6], [1.0, 57.0], [-6.0, 57.0], [-6.0, 54.6]]

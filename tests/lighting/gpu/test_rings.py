@@ -68,6 +68,7 @@ def mountains(shared_data: Path) -> np.ndarray:
         return file.read(1, window=((50, 650), (100, 900))).astype(np.float32)
 
 
+@pytest.mark.stress
 def test_coarse_rings_keep_their_bound(device: Device, mountains: np.ndarray) -> None:
     """With rings of 16 samples instead of 512 no elevation is off by more than ``bound``, so that of the light at most
     twice as much is (the cosine's integral over azimuths is 2 at most)."""
@@ -119,6 +120,7 @@ def test_a_radius_is_exact_whatever_the_device_holds(
     assert d.max() < 0.1 and (d > 1e-5).mean() < 0.01
 
 
+@pytest.mark.stress
 def test_voxels_out_of_coarse_samples_are_those_of_all(
     device: Device, mountains: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -116,6 +116,7 @@ def test_the_horizon_does_not_follow_every_sample(camera: Camera) -> None:
     assert np.abs(drawn[-1] - fine[-1])[band].mean() < 0.5 * np.abs(rough[-1] - fine[-1])[band].mean()
 
 
+@pytest.mark.stress
 def test_what_a_ridge_uncovers_has_no_ghost_of_it(camera: Camera) -> None:
     """A bright wall before dark ground, passed sideways by a pixel a frame: beside it the ground is dark."""
     z = np.full((300, 300), 0.0, np.float32)
@@ -154,6 +155,7 @@ def test_a_jump_leaves_no_ghost(camera: Camera) -> None:
     assert np.abs(shown - plain).mean() < np.abs(alone - plain).mean() + 3.0
 
 
+@pytest.mark.stress
 def test_at_rest_it_is_the_mean_of_its_own_samples(camera: Camera) -> None:
     for k in range(8):
         camera.draw(camera.moved(2.0 * k))

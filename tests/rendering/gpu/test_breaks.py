@@ -94,6 +94,7 @@ def test_a_plan_breaks_off_where_ground_ends(device: Device) -> None:
     renderer.close()
 
 
+@pytest.mark.stress
 def test_what_needs_all_pixels_has_them(device: Device) -> None:
     """Silhouettes are found in whole pictures, and rays of light are gathered by all samples."""
     t = ridges()

@@ -83,6 +83,7 @@ def test_pictures_are_those_of_the_uploaded_mesh(
     assert off.max() <= 1 and (off > 0).mean() < 1e-3  # (heights blend in single precision)
 
 
+@pytest.mark.stress
 def test_cells_need_not_be_square_nor_samples_many(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     for t in (hills((70, 400), stretch=1.8), hills((2, 90))):
         scene = Scene.of(t, whole(t, (120, 80)), method="clipmap,n=63", tolerance=0.5, samples=1)

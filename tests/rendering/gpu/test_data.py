@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from rasterio.transform import from_origin
 
 import orograph
 from orograph.gpu.device import Device
 
 
+@pytest.mark.stress
 def test_data_look_the_same_on_both_backends(device: Device) -> None:
     y, x = np.mgrid[:60, :80]
     heights = (100 * np.sin(x / 9) * np.cos(y / 7)).astype(np.float32)

@@ -154,6 +154,7 @@ def test_positions_are_good_to_a_tenth_of_a_texel(device: Device, ground: Terrai
     assert np.percentile(np.abs(off), 99) < 0.1 * step + 1
 
 
+@pytest.mark.stress
 def test_there_are_no_seams_at_the_borders_of_tiles(device: Device, ground: Terrain, tmp_path: Path) -> None:
     """A smooth image of many tiles: no pixel is off by more than rounding, at any scale."""
     rows = np.linspace(30, 190, 1800)[:, None] + np.linspace(0, 30, 1800)[None, :]
@@ -307,6 +308,7 @@ def test_painted_data_stay_until_those_that_replace_them_are_there(
     assert not is_red(frames.draw(scene_of(ground, plainly))[1]).any()
 
 
+@pytest.mark.stress
 def test_a_file_that_vanishes_is_told_and_what_is_there_stays(frames: Frames, ground: Terrain, tmp_path: Path) -> None:
     path = Path(write(tmp_path / "red.tif", noisy_red(4000)))
     far, near = (scene_of(ground, Layer(str(path)), distance=d) for d in (6000.0, 300.0))
@@ -332,6 +334,7 @@ def test_a_layer_that_cannot_be_opened_is_told_and_the_rest_is_drawn(
     assert not stats.failed
 
 
+@pytest.mark.stress
 def test_memory_is_fixed_whatever_is_wanted(device: Device, ground: Terrain, tmp_path: Path) -> None:
     frames = Frames(device, ground, gpu_memory=48 << 20)
     try:

@@ -86,6 +86,7 @@ def test_depths_are_those_of_the_cast_of_the_same_mesh(device: Device, terrain: 
         assert np.quantile(off, 0.99) < 1e-4 and np.median(off) < usual, (name, np.quantile(off, 0.99))
 
 
+@pytest.mark.stress
 def test_the_gpu_streams_patches_unless_they_are_asked_for_otherwise(device: Device, terrain: Terrain) -> None:
     scene = Scene.of(terrain, views()["slanted"], tolerance=3.0, samples=1)
     own = draw_gpu(scene, device=device)

@@ -340,6 +340,7 @@ def test_frames_measure_what_they_take_and_show_no_hole(device: Device, monkeypa
         renderer.close()
 
 
+@pytest.mark.stress
 def test_tiles_of_a_picture_show_the_same_ground(device: Device) -> None:
     terrain = GROUNDS["nested windows"]()
     view = look((*(float(v) for v in terrain.grid.xy(1200.0, 900.0)), 700.0), 20.0, -15.0, 2000.0)

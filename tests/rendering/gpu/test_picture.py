@@ -216,6 +216,7 @@ def test_heights_may_be_radii_of_a_body(device: Device, shared_data: Path) -> No
     assert np.percentile(np.abs(ours.depth - caster.depth)[both] / caster.depth[both], 95) < 0.01
 
 
+@pytest.mark.stress
 def test_exaggeration_stretches_the_picture_only(device: Device, shared_data: Path) -> None:
     terrain = open_set(shared_data, "bigtujunga")
     scene = Scene.of(terrain, whole(terrain, SIZE, exaggeration=3.0), exaggeration=3.0, tolerance=1.0)

@@ -132,6 +132,7 @@ def test_a_frame_brings_new_tiles_and_runs_only(device: Device) -> None:
         known |= new
 
 
+@pytest.mark.stress
 def test_tiles_that_do_not_fit_make_it_coarser_and_others_make_room(device: Device) -> None:
     t = hills((1025, 1537), amplitude=2000.0)
     select = selects(t, whole(t, (600, 400)))

@@ -90,6 +90,7 @@ def test_two_walls_ten_metres_apart_keep_their_order_at_two_hundred_kilometres(e
     assert (np.diff(np.nanmean(middle[up < 309.5], axis=1)) <= 0.05).all()  # nearer and nearer downwards
 
 
+@pytest.mark.stress
 def test_mountains_two_hundred_kilometres_away_do_not_flicker(eye) -> None:
     """The eye moves by a millimetre: no more than one pixel in a thousand may change by more than 3 of 255."""
     terrain = make(mountains(160, 5300), 40.0)

@@ -90,6 +90,7 @@ def flown(device: Device, terrain: Terrain, monkeypatch: pytest.MonkeyPatch, loo
     return lacking, reader
 
 
+@pytest.mark.stress
 def test_a_steady_flight_lacks_less_if_it_reads_ahead(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     terrain = ground()
     without, _ = flown(device, terrain, monkeypatch, look=False)

@@ -108,6 +108,7 @@ def above(terrain: Terrain) -> View:
     return View((x, y - 1.0, high), (x, y, 300.0), width=SIZE[0], height=SIZE[1])
 
 
+@pytest.mark.stress
 def test_frames_never_wait_for_tiles_and_never_show_a_hole(bench) -> None:
     terrain = Slow(make(hills(1500, 1800)))
     b = bench(terrain)
@@ -140,6 +141,7 @@ def test_a_file_that_vanishes_leaves_what_there_is(bench) -> None:
     assert np.isfinite(b.renderer.depth()).all()
 
 
+@pytest.mark.stress
 def test_the_atlas_stays_within_its_memory_and_drops_what_was_seen_longest_ago(bench) -> None:
     terrain = make(hills(2100, 2100))
     b = bench(terrain, gpu_memory=2 * 16 * 258 * 258 * 4)  # one layer of 16 tiles of each kind
@@ -180,6 +182,7 @@ def test_a_step_of_a_millimetre_moves_the_picture_smoothly(bench) -> None:
     assert float(np.abs(steps).max()) < 5e-3
 
 
+@pytest.mark.stress
 def test_mountains_far_away_do_not_flicker(bench) -> None:
     """The picture of ground 100 km away hardly changes while the eye moves by a millimetre."""
     heights = hills(300, 6000)
@@ -196,6 +199,7 @@ def test_mountains_far_away_do_not_flicker(bench) -> None:
         assert float((np.abs(before - after).max(-1) > 3).mean()) < 1e-3
 
 
+@pytest.mark.stress
 def test_the_picture_at_rest_is_smooth_and_stops(bench) -> None:
     terrain = make(hills(700, 700))
     b = bench(terrain)

@@ -141,6 +141,7 @@ def test_a_slow_store_fills_in_while_frames_go_on(device: Device, web: Web, monk
     loop.renderer.close()
 
 
+@pytest.mark.stress
 def test_what_must_be_compiled_holds_no_frame_up(device: Device, folder: Path) -> None:
     """Another way to shade: the last one serves until it is there, and the picture comes to rest as if it had been."""
     loop = Loop(device, store.open(folder / "area.oro"))

@@ -416,6 +416,7 @@ def test_faces_are_those_of_the_triangles_that_are_hit(device: Device) -> None:
     assert np.median(off) < 0.5 and np.quantile(off, 0.9) < 3, (np.median(off), np.quantile(off, 0.9))
 
 
+@pytest.mark.stress
 def test_tiles_of_a_picture_are_the_picture(device: Device) -> None:
     terrain = GROUNDS["nested windows"]()
     view = look((*(float(v) for v in terrain.grid.xy(1200.0, 900.0)), 700.0), 20.0, -15.0, 2000.0)

@@ -126,6 +126,7 @@ def test_a_picture_at_rest_becomes_the_one_that_is_waited_for(device: Device, op
     assert np.abs(gathered - whole).mean() < 1.0 < np.abs(first - whole).mean() < 8.0
 
 
+@pytest.mark.stress
 def test_terrain_too_large_to_be_held_is_met_in_windows(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
     terrain = ground(2049)
     x, y = (float(v) for v in terrain.grid.xy(300, 1700))
