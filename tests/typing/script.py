@@ -153,5 +153,5 @@ except orograph.errors.OrographError as error:
     print(error.what, error.remedy)
 
 # What is misspelt, or of the wrong kind, is found before it runs (an ignored line with nothing wrong is an error).
-orograph.render(terrain, exageration=1.5)  # type: ignore[call-arg]  # pyright: ignore[reportCallIssue]
-orograph.render(terrain, bbox="7,45,8,46", light="rays")  # type: ignore[arg-type]  # pyright: ignore[reportArgumentType]
+orograph.render(terrain, exageration=1.5)  # type: ignore[call-overload]  # pyright: ignore[reportCallIssue]
+orograph.render(terrain, bbox="7,45,8,46", light="rays")  # type: ignore[call-overload]  # pyright: ignore[reportArgumentType]
