@@ -40,7 +40,7 @@ class _Files(IndexDataCacheFile):
 
     def save(self, key: object, data: object) -> None:
         """Keep a kernel's code, then name it in the index; code that the index does not name is removed."""
-        with alone(self._index_path):
+        with locked(self._index_path):
             found = self._load_index()
             found[key] = self._data_name(int.from_bytes(os.urandom(6), "big"))
             self._save_data(found[key], data)
@@ -153,12 +153,12 @@ def compiling_alone(dispatcher: Any) -> Iterator[None]:
     """Wait until no other process compiles a function: its kernels are in the cache then."""
     with contextlib.suppress(OSError):
         dispatcher._cache._impl.locator.ensure_cache_path()
-    with alone(f"{dispatcher._cache._cache_file._index_path}.compiled"):
+    with locked(f"{dispatcher._cache._cache_file._index_path}.compiled"):
         yield
 
 
 @contextlib.contextmanager
-def alone(path: str) -> Iterator[None]:
+def locked(path: str) -> Iterator[None]:
     """Hold the lock of a file; where there are no locks, or none can be made, hold none."""
     try:
         import fcntl

@@ -52,7 +52,8 @@ def _name_apart() -> None:
 
 
 _name_apart()
-os.register_at_fork(after_in_child=_name_apart)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_name_apart)
 
 
 _PLAIN: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
