@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._lanes import LANES, gather, load, scatter, some, spread, store, where
+from orograph._lanes import LANES, gather, load, scatter, some, spread, store, where, whole
 from orograph._numba import inlined, kernel
 from orograph.lighting.sweep_profiles import F32, F64, GROUP, I64
 
@@ -147,6 +147,36 @@ def added(hull, there, n, x1, z1, x2, z2, x, z):  # type: ignore[no-untyped-def]
     scatter(hull, n, x1)
     scatter(hull, n + LANES, z1)
     return n, x1, z1, x2, z2
+
+
+@inlined
+def passed(work, hull, line, apart, stacks, n, x1, z1, x2, z2, y, m, x, z):  # type: ignore[no-untyped-def]
+    """Put points at y, with heights m, on hulls, but those below the line from the hull to the next points, z at x.
+
+    These would be removed at once.
+    """
+    m = where((m - z) * (y - x1) <= (z1 - m) * (x - y), np.nan, m)
+    there = m == m
+    if some(there):
+        n, x1, z1, x2, z2 = uncovered(work, hull, line, apart, stacks, n, x1, z1, x2, z2, y, m)
+        n, x1, z1, x2, z2 = added(hull, there, n, x1, z1, x2, z2, y, m)
+    return n, x1, z1, x2, z2
+
+
+@inlined
+def restored(end, undo, step, last, spare):  # type: ignore[no-untyped-def]
+    """Undo what was noted of a step; returns the places of the last points.
+
+    Args:
+        spare: places for what nothing reads.
+    """
+    u = 4 * LANES * step
+    place = load(undo, u)
+    had = place >= 0.0
+    k = where(had, whole(place), spare)
+    scatter(end, k, load(undo, u + LANES))
+    scatter(end, k + LANES, load(undo, u + 2 * LANES))
+    return where(had, whole(load(undo, u + 3 * LANES)), last)
 
 
 @inlined

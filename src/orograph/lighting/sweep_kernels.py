@@ -30,7 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from orograph._lanes import LANES, counted, gather, load, real, scatter, some, store, where, whole
+from orograph._lanes import LANES, counted, gather, load, real, store, where, whole
 from orograph._numba import inlined, kernel
 from orograph.lighting.own_cell import OwnCell
 from orograph.lighting.sweep_hulls import (
@@ -43,9 +43,11 @@ from orograph.lighting.sweep_hulls import (
     emptied,
     highest,
     keep,
+    passed,
     pop,
     profiles,
     push,
+    restored,
     uncovered,
 )
 from orograph.lighting.sweep_profiles import F64, GROUP, I64, Swath, fill, middles, sample_of
@@ -97,12 +99,7 @@ def _unlimited(
         if both:
             y = x - 1.0
             m = profiles(profile, apart, lane, (k - ahead) * GROUP + b) - drop * y * y
-            # A point below the line from the sample to the hull would be removed at once.
-            m = where((m - z) * (y - x1) <= (z1 - m) * (x - y), np.nan, m)
-            there = m == m
-            if some(there):
-                n, x1, z1, x2, z2 = uncovered(work, hull, line, apart, stacks, n, x1, z1, x2, z2, y, m)
-                n, x1, z1, x2, z2 = added(hull, there, n, x1, z1, x2, z2, y, m)
+            n, x1, z1, x2, z2 = passed(work, hull, line, apart, stacks, n, x1, z1, x2, z2, y, m, x, z)
         n, x1, z1, x2, z2 = uncovered(work, hull, line, apart, stacks, n, x1, z1, x2, z2, x, z)
         far = x - x1 > cell.reach
         s = (where(far, z1, z2) - z) * scale / (x - where(far, x1, x2)) - x * turn
@@ -121,12 +118,10 @@ def _unlimited(
 
 @kernel
 def _limited(
-    work: Working, b: int, both: bool, steps: int, course: Course, cell: OwnCell, reach: int, end: F64, undo: F64,
-    nothing: Stacks,
+    work: Working, b: int, both: bool, first: int, last: int, course: Course, cell: OwnCell, reach: int, end: F64,
+    undo: F64, nothing: Stacks,
 ) -> None:  # fmt: skip
-    """Like ``_unlimited``, for all steps, among the points within ``reach`` points.
-
-    Positions begin at a multiple of ``reach``.
+    """Like ``_unlimited``, among the points within ``reach`` points. Positions begin with a block (``_blocks``).
 
     Args:
         end: ((reach + 3) · ROW,) the hulls of the rest of the last block, in the form of ``hull``, behind two points
@@ -139,35 +134,36 @@ def _limited(
     backward, origin, scale, lowest, bend = course
     drop, turn = 0.5 * bend / (scale * scale), bend / scale
     apart, own, lane = cell.points, cell.reach, whole(counted())
+    beyond = lane + (reach + 2) * ROW
     direction = -1 if backward else 1
-    x_first = origin - (apart * steps - 1) if backward else origin
-    x_last = x_first + apart * steps
+    x_first = origin - (apart * last - 1) if backward else origin + apart * first
+    x_last = x_first + apart * (last - first)
     # Samples are the last points in their steps.
     stride = 1 if both else apart
     ends, x1, z1, x2, z2 = emptied(end, lane)
     for begin in range(x_first, x_last, reach):
         stop = min(begin + reach, x_last)
         n, x1, z1, x2, z2 = emptied(hull, lane)
-        for at in range(begin + stride - 1, stop, stride):
-            u = 4 * LANES * (at - begin - stride)
-            if begin > x_first and u >= 0:  # the farthest point goes out of reach
-                place = load(undo, u)
-                had = place >= 0.0
-                ends = where(had, whole(load(undo, u + 3 * LANES)), ends)
-                k = where(had, whole(place), lane + (reach + 2) * ROW)
-                scatter(end, k, load(undo, u + LANES))
-                scatter(end, k + LANES, load(undo, u + 2 * LANES))
+        for at in range(begin + apart - 1, stop, apart):
+            if begin > x_first:  # the farthest points go out of reach
+                if at - begin >= apart:
+                    ends = restored(end, undo, at - begin - apart, ends, beyond)
+                if both:
+                    ends = restored(end, undo, at - begin - 1, ends, beyond)
             i, x = (at - origin) * direction, np.float64(at)
             z = profiles(profile, apart, lane, i * GROUP + b) - drop * x * x
+            if both:
+                y = x - 1.0
+                m = profiles(profile, apart, lane, (i - direction) * GROUP + b) - drop * y * y
+                n, x1, z1, x2, z2 = passed(work, hull, 0, 1, nothing, n, x1, z1, x2, z2, y, m, x, z)
             n, x1, z1, x2, z2 = uncovered(work, hull, 0, 1, nothing, n, x1, z1, x2, z2, x, z)
-            if (at - x_first) % apart == apart - 1:
-                far = x - x1 > own
-                s = (where(far, z1, z2) - z) * scale / (x - where(far, x1, x2)) - x * turn
-                s = where(s > lowest, s, lowest)
-                y, m, seen = highest(end, ends, lane, x, z, own)
-                m = (m - z) * scale / (x - y) - x * turn
-                s = where(seen & (m > s), m, s)
-                keep(slope, apart, lane, i // apart * (GROUP + 1) + b + 1, s)
+            far = x - x1 > own
+            s = (where(far, z1, z2) - z) * scale / (x - where(far, x1, x2)) - x * turn
+            s = where(s > lowest, s, lowest)
+            y, m, seen = highest(end, ends, lane, x, z, own)
+            m = (m - z) * scale / (x - y) - x * turn
+            s = where(seen & (m > s), m, s)
+            keep(slope, apart, lane, i // apart * (GROUP + 1) + b + 1, s)
             n, x1, z1, x2, z2 = added(hull, z == z, n, x1, z1, x2, z2, x, z)
         if stop == x_last:
             return
@@ -239,27 +235,40 @@ def sweep_windows(
     """Like ``sweep_lines``, but only among points within ``reach`` steps, for steps [skip, skip + own) of the band."""
     steps, cell = len(swath.shift), swath.cell
     finer = _finer(course, cell.points)
-    reach *= cell.points
-    end, undo = np.empty((reach + 3) * ROW), np.empty(reach * 4 * LANES)
+    points = reach * cell.points
+    end, undo = np.empty((points + 3) * ROW), np.empty(points * 4 * LANES)
     nothing = Stacks(
         np.full(LANES, -1), np.empty(0, np.int32), np.empty(0), np.empty(0, np.int64), np.zeros(1, np.int64)
     )
-    # Blocks of ``reach`` points begin where the band does, or at the raster's border: lines are swept from there on.
     # The line before the first is only used for interpolation.
-    fill(swath, line0 - 1, 1, 0, steps, work.profile)
-    _limited(work, 0, middles(swath, line0 - 1), steps, finer, cell, reach, end, undo, nothing)
-    for i in range(steps):
+    first, last = _blocks(course.backward, steps, reach, *_range(swath.shift, swath.lanes, line0 - 1, 1))
+    fill(swath, line0 - 1, 1, first, last, work.profile)
+    _limited(work, 0, middles(swath, line0 - 1), first, last, finer, cell, points, end, undo, nothing)
+    for i in range(first, last):
         work.slope[i, 0] = work.slope[i, 1]
     for begin in range(0, lines, GROUP):
         first, last = _range(swath.shift, swath.lanes, line0 + begin, GROUP)
         if first == last:
             continue
-        fill(swath, line0 + begin, GROUP, 0, steps, work.profile)
+        first, last = _blocks(course.backward, steps, reach, first, last)
+        fill(swath, line0 + begin, GROUP, first, last, work.profile)
         for half in range(2):
             b = half * LANES if cell.points == 1 else half
             both = middles(swath, line0 + begin + b)
-            _limited(work, b, both, steps, finer, cell, reach, end, undo, nothing)
-        horizons_of(work.slope, swath, line0 + begin, skip, skip + own, skip, work.found, target)
+            _limited(work, b, both, first, last, finer, cell, points, end, undo, nothing)
+        first, last = max(first, skip), min(last, skip + own)
+        horizons_of(work.slope, swath, line0 + begin, first, last, skip, work.found, target)
+
+
+@inlined
+def _blocks(backward, steps, reach, first, last):  # type: ignore[no-untyped-def]
+    """The steps [first, last), from the light's end of a block on.
+
+    Blocks of ``reach`` steps begin where the band does, or at the raster's border: lines are swept from there on.
+    """
+    if backward:
+        return first, steps - (steps - last) // reach * reach
+    return first // reach * reach, last
 
 
 @inlined
