@@ -136,6 +136,6 @@ def test_a_long_first_run_has_the_rest_compiled(monkeypatch, seconds, starts):
 def test_nothing_is_left_behind_where_nobody_sits(monkeypatch, capsys):
     from orograph import cli
 
-    monkeypatch.setattr(cli, "compile_rest", lambda: pytest.fail("started"))
+    monkeypatch.setattr(compiling, "compile_rest", lambda: pytest.fail("started"))
     cli._compile_rest(quiet=False)  # (pytest's standard error is no terminal)
     assert capsys.readouterr().err == ""

@@ -7,7 +7,6 @@ from orograph.cli import stopping
 stopping.guard_imports()  # before anything else is loaded
 
 # ruff: noqa: E402
-import difflib
 import errno
 import importlib
 import os
@@ -18,7 +17,6 @@ from typing import Any, NoReturn
 import click
 
 from orograph._spared import spare_imports
-from orograph.compiling import compile_rest, expect
 from orograph.errors import OrographError
 
 VERBS = {
@@ -71,6 +69,8 @@ class Verbs(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if name not in VERBS and not name.startswith("-"):
+            import difflib  # late, as what compiles is: most commands need neither
+
             close = _wording().elsewhere(name) or difflib.get_close_matches(name, VERBS, 2, 0.5)
             remedy = f"Did you mean {' or '.join(close)}?" if close else f"There are {', '.join(sorted(VERBS))}."
             ctx.fail(f"There is no verb {name!r}. {remedy}")
@@ -208,12 +208,18 @@ def _expect(args: list[str]) -> None:
     """Have the kernels compiled that a verb surely needs, while it reads its options and its modules are loaded."""
     verb = next((a for a in args if not a.startswith("-")), "")
     if verb in ("demo", "render", "build", "tessellate", "tin", "compare") and not _OTHERWISE & set(args):
+        from orograph.compiling import expect
+
         expect("render" if verb == "demo" else verb)
 
 
 def _compile_rest(quiet: bool) -> None:
     """After a machine's first run at a terminal, compile the other verbs' kernels in the background."""
-    if sys.stderr.isatty() and compile_rest() and not quiet:
+    if not sys.stderr.isatty() or "orograph.compiling" not in sys.modules:
+        return
+    from orograph.compiling import compile_rest
+
+    if compile_rest() and not quiet:
         click.echo("The other verbs' kernels are being compiled in the background, once for this machine.", err=True)
 
 
