@@ -198,13 +198,91 @@ def test_a_helper_within_kernels_has_no_machine_code(tmp_path: Path) -> None:
 def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
     code = """
     from numba.core.compiler import Flags
-    from orograph._compiler import hasten
+    from orograph._hastened import hasten
     hasten()
     one, other = Flags(), Flags()
     one.error_model, other.error_model = "numpy", "python"
     assert one == one.copy() and one != other and hash(one) == hash(one.copy()) and one != "numpy"
     """
     assert run(code, tmp_path) == ""
+
+
+def test_a_hastened_compiler_finds_the_same_types_and_variables(tmp_path: Path) -> None:
+    """Also the second time, when it remembers them."""
+    code = """
+    import itertools, operator
+    from numba import types
+    from numba.core import compiler
+    from numba.core.registry import cpu_target
+    from orograph._hastened import hasten
+
+    def example(a, n):
+        found = [0.0, float(n)]
+        for i in range(n):
+            if a[i, 0] > max(found[0], 1.0) and not a[0, i] < 0:
+                found[0], a[i, 1] = a[i, 0], -found[1]
+        return tuple(found), {"a": a[1:, 2]}
+
+    scalars = [types.int64, types.uint8, types.float32, types.float64, types.boolean, types.literal(3), types.int32]
+    array = types.Array(types.float32, 2, "C")
+    given = [*itertools.product(scalars, scalars), (array, types.int64), (array, types.UniTuple(types.int64, 2))]
+    operators = [getattr(operator, name) for name in (
+        "add sub mul truediv floordiv mod pow lt le eq and_ or_ lshift rshift iadd neg not_ getitem").split()]
+
+    def facts():
+        context = cpu_target.typing_context
+        context.refresh()
+        for operator_, types_ in itertools.product(operators, given):
+            types_ = types_[: 1 if operator_ in (operator.neg, operator.not_) else 2]
+            try:
+                found = context.resolve_function_type(operator_, types_, {})
+            except Exception as error:
+                found = type(error)
+            yield operator_.__name__, types_, found
+        for block in compiler.run_frontend(example).blocks.values():
+            for step in block.body:
+                yield str(step), [variable.name for variable in step.list_vars()]
+
+    before = list(facts())
+    hasten()
+    assert len(before) > 400 and list(facts()) == before and list(facts()) == before
+    """
+    assert run(code, tmp_path) == ""
+
+
+SLICES = """
+    import numba, numpy as np, sys
+    from orograph._hastened import hasten
+    from orograph._numba import kernel, linked
+    if len(sys.argv) > 1:
+        hasten()
+
+    @linked
+    def halved(row, most):
+        tail = row[1:]
+        return np.sort(tail)[: len(tail) // most].sum()
+
+    def work(a):
+        found = np.zeros((2, len(a)))
+        for i in range(len(a)):
+            found[0, i] = halved(a[i], 2)
+            found[1, i] = max(np.abs(a[i]).max(), a[i, 0], 0.5)
+        return found
+
+    a = np.random.default_rng(1).normal(size=(5, 9))
+    code = kernel(work)
+    assert (code(a) == work(a)).all() and len(halved.overloads) == 1
+    assert halved(a[0], 3) == halved.py_func(a[0], 3)
+    assert not any(list(one.library.get_defined_functions()) for one in halved.overloads.values())  # of machine code
+"""
+
+
+@pytest.mark.parametrize("more", ["", "import sys; sys.argv.append('hastened')"])
+def test_what_is_only_linked_works_alone_too(tmp_path: Path, more: str) -> None:
+    """And with NumPy's functions, of which a hastened compiler makes no machine code."""
+    (tmp_path / "kernels.py").write_text(textwrap.dedent(SLICES))
+    code = f"{more}\nimport sys; sys.path.insert(0, {str(tmp_path)!r}); import kernels"
+    assert run(code, tmp_path / "cache", OROGRAPH_COMPILE_AHEAD="0") == ""
 
 
 SORTED = """

@@ -7,7 +7,6 @@ With ``--rest`` it compiles whatever the cache lacks of ``kernels.txt``.
 from __future__ import annotations
 
 import contextlib
-import gc
 import importlib
 import os
 import pickle
@@ -15,10 +14,10 @@ import sys
 import threading
 from io import BufferedReader
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO
 
+from orograph._hastened import hasten
 from orograph._needed import lacking, lines, types_of
-from orograph._spared import spare_imports
 
 IDLE = 1.0
 """Seconds without work after which it ends."""
@@ -35,20 +34,6 @@ def compile_kernel(module: str, name: str, types: str | tuple[object, ...]) -> N
 
     with compiling_alone(found):
         found.compile(types_of(types) if isinstance(types, str) else types)
-
-
-def hasten() -> None:
-    """Spare a process that compiles and ends what takes Numba a fifth of its time."""
-    spare_imports()
-    from numba.core import event
-    from numba.core.targetconfig import TargetConfig
-
-    def equal(self: Any, other: Any) -> bool:  # (Numba's reads each of 30 options, and is called 500 times a kernel)
-        return isinstance(other, TargetConfig) and bool(self._values == other._values)
-
-    gc.set_threshold(100_000, 20, 20)  # a compiler's objects live long
-    cast(Any, TargetConfig).__eq__ = equal
-    event.broadcast = lambda told: None  # nobody listens
 
 
 def serve(requests: BufferedReader, answers: BinaryIO) -> None:

@@ -16,12 +16,20 @@ import llvmlite.binding as llvm
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
+from numba.core.types import unliteral
 
 Function = Callable[..., Any]
 
 
-class _Library(JITCodeLibrary):
+class Library(JITCodeLibrary):
     """Intermediate code. What Numba takes for its machine code are the variables that every function's code has."""
+
+    @classmethod
+    def of(cls, state: Any) -> Library:
+        """The library of a function that is to be compiled."""
+        made = cls(state.targetctx.codegen(), state.func_id.func_qualname)
+        made.enable_object_caching()
+        return made
 
     def _optimize_final_module(self) -> None:
         """Left to the kernel."""
@@ -41,9 +49,7 @@ class _Compiler(Compiler):
     """Numba's, that writes into such a library."""
 
     def define_pipelines(self) -> Any:
-        state = self.state
-        state.library = _Library(state.targetctx.codegen(), state.func_id.func_qualname)
-        state.library.enable_object_caching()
+        self.state.library = Library.of(self.state)
         return super().define_pipelines()
 
 
@@ -51,6 +57,7 @@ class Linked(CPUDispatcher):
     """A function that kernels link in. What Python calls is ``alone``, a kernel of the same code."""
 
     def __init__(self, function: Function, options: dict[str, Any], kernel: Callable[[Function], Function]) -> None:
+        self._inline = bool(options.get("forceinline"))
         own = {"nopython": True, "boundscheck": None, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
         super().__init__(function, targetoptions=options | own, pipeline_class=_Compiler)
         self._kernel = kernel
@@ -62,6 +69,12 @@ class Linked(CPUDispatcher):
         copy = types.FunctionType(code.__code__, code.__globals__, code.__name__, code.__defaults__, code.__closure__)
         copy.__module__, copy.__qualname__ = code.__module__, f"{code.__qualname__}.alone"
         return self._kernel(copy)
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Inlined code knows constants among its arguments anyway: it is compiled once for all of them."""
+        if self._inline:
+            args, kws = tuple(map(unliteral, args)), {name: unliteral(type_) for name, type_ in kws.items()}
+        return super().get_call_template(args, kws)
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         return self.alone(*arguments, **named)

@@ -79,7 +79,16 @@ def leaf(function: Function) -> Function:
 
     A small kernel that others call millions of times would spend most of its time on that.
     """
-    made: Any = _linked(function, _BARE)
+    return _linked_and_kept(function, _BARE)
+
+
+def linked(function: Function) -> Function:
+    """Compile a part of kernels that makes arrays or slices, or is given some that they made."""
+    return _linked_and_kept(function, _PLAIN)
+
+
+def _linked_and_kept(function: Function, options: dict[str, Any]) -> Function:
+    made: Any = _linked(function, options)
     if made is not function:
         made.enable_caching()
         keep_safely(made._cache)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, linked
 
 FIBONACCI = np.uint64(0x9E3779B97F4A7C15)
 EMPTY = np.int64(-1)
@@ -42,7 +42,7 @@ def slot_of(table, shift, key):
     return slot
 
 
-@kernel
+@linked
 def doubled_table(table, shift):
     """The table with twice the room, and its shift."""
     size = 2 * table.shape[0]
@@ -58,7 +58,7 @@ def doubled_table(table, shift):
     return larger, shift
 
 
-@kernel
+@linked
 def new_table(expected):
     """An empty table with room for ``expected`` vertices, and its shift."""
     bits = 10
@@ -69,7 +69,7 @@ def new_table(expected):
     return table, np.uint64(64 - bits)
 
 
-@kernel
+@linked
 def longer(vertices, n, size):
     """The first ``n`` vertices in an array of ``size``, copied one by one: slices take seconds to compile."""
     larger = np.empty((size, 3), np.float64)

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.error.wedgies import children_of_square, entry
 
 NONE, WHOLE, HOLE, MIXED = 0, 1, 2, 3
@@ -40,7 +40,7 @@ def _two_units(z, i, j, di, dj, pi, pj):
     return _unit(z, i, j, i - di, j - dj, pi, pj) | _unit(z, i, j, i + di, j + dj, pi, pj)
 
 
-@kernel
+@linked
 def _dirty_samples(z, dirty):
     """Mark the runs of samples in which one is missing: ``dirty[i + 1, j // RUN + 1]``."""
     for i in range(z.shape[0]):
@@ -53,7 +53,7 @@ def _dirty_samples(z, dirty):
             dirty[i + 1, run + 1] = missing > 0
 
 
-@kernel
+@linked
 def _dirty_squares(below, dirty):
     """Mark the runs of square diamonds of which one is not WHOLE."""
     for i in range(below.shape[1]):
@@ -159,7 +159,7 @@ def _squares_inside(to_north, to_south, to_west, to_east, parity, begin, end, sc
         two[at] = second_row[j] | second_row[j + np.uint64(1)]
 
 
-@kernel
+@linked
 def _edges(z, below, k, i, first, seen, edges, found):
     """``states`` of the edge diamonds of row i from column ``first`` on, in the runs to be ``seen`` and on the rim."""
     height, width = found.shape
@@ -190,7 +190,7 @@ def _edges(z, below, k, i, first, seen, edges, found):
         seen[j // RUN + 1] = 1
 
 
-@kernel
+@linked
 def _squares(edges, i, first, seen, scratch, squares, found):
     """``states`` of the square diamonds of row i from column ``first`` on, in the runs to be ``seen``."""
     height, width = found.shape
@@ -272,7 +272,7 @@ def _add_squares(found, i, j):
         found[i, j] |= found[i + di, j + dj]
 
 
-@kernel
+@linked
 def mark_row(found, seen, first, e):
     """Give mixed diamonds of a row an infinite error and empty ones 0.
 

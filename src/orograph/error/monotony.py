@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.error.holes import mark_row
 from orograph.error.octaves import WEDGIE, midpoints
 from orograph.error.wedgies import edge_sums, square_sums
@@ -29,7 +29,7 @@ def value(values, i, j):
     return values[i, j]
 
 
-@kernel
+@linked
 def _close_edges(below, i, e, scratch):
     """Close the edge diamonds of row i; ``scratch``: float32 (3, width of ``below``)."""
     width = len(e)
@@ -63,7 +63,7 @@ def _close_edges(below, i, e, scratch):
         at += 2
 
 
-@kernel
+@linked
 def _close_squares(errors, i, scratch):
     """Close the square diamonds of row i, whose edge diamonds are closed."""
     height, width = errors.shape

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.error.deviation import edge_across, edge_along, split_distance, square, triangle
 
 MIDPOINT, WEDGIE, EXACT = 0, 1, 2
@@ -91,7 +91,7 @@ def _on_rim(fine, z, row0, col0, k, rows, cols, i, j, kind):
     return d if d == d else 0.0
 
 
-@kernel
+@linked
 def _rim_row(fine, z, row0, col0, k, rows, cols, kind, i, errors):
     """The errors of row i on the rim; ``errors`` is that row."""
     height, width = z.shape
@@ -114,7 +114,7 @@ def _off_middle(a, m, b):
     return round_up(d if d == d else 0.0)
 
 
-@kernel
+@linked
 def midpoints(z, row0, col0, k, rows, cols, kind, i, errors):
     """The local error of the diamonds of row i. MIDPOINT, WEDGIE and EXACT differ in squeezed diamonds only.
 

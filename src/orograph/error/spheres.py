@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.error.holes import MIXED, RUN, WHOLE
 from orograph.error.octaves import inner
 
@@ -77,7 +77,7 @@ def _on_rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, i, j):
     return r
 
 
-@kernel
+@linked
 def _rim(z, fine, below, row0, col0, k, rows, cols, metric, radii, squares):
     """The rim's edge diamonds, or its square ones."""
     height, width = radii.shape
@@ -98,7 +98,7 @@ def _edge(m, west, east, north, south, across, down):
     return np.sqrt(max(across * across + x * x, down * down + y * y))
 
 
-@kernel
+@linked
 def _edges(z, i, j_end, across, down, r):
     """The finest edge diamonds of a row: the corners of their regions."""
     north, here, south = z[i - 1], z[i], z[i + 1]
@@ -111,7 +111,7 @@ def _edges(z, i, j_end, across, down, r):
         r[j] = found if j & np.uint64(1) == odd else np.float32(0.0)
 
 
-@kernel
+@linked
 def _edges_and_children(z, fine, below, i, j_end, across, down, falling, rising, r):
     """The edge diamonds of a row: the corners of their regions and the square diamonds of the octave below."""
     first = 1 + (i & 1)
@@ -130,7 +130,7 @@ def _edges_and_children(z, fine, below, i, j_end, across, down, falling, rising,
         r[j + 1] = 0.0
 
 
-@kernel
+@linked
 def _squares(z, radii, i, j_end, across, down, falling, rising, found):
     """The square diamonds of a row: the corners of their regions and the edge diamonds on their sides."""
     north, here, south = z[i - 1], z[i], z[i + 1]

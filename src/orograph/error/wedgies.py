@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, leaf, linked
 from orograph.error.octaves import inner, round_up
 
 
@@ -33,7 +33,7 @@ def entry(values, which, i, j):
     return values[which, i, j]
 
 
-@kernel
+@linked
 def edge_sums(below, row0, col0, k, rows, cols, i, height, e, row):
     """The sums of the edge diamonds of row i.
 
@@ -88,7 +88,7 @@ def edge_sums(below, row0, col0, k, rows, cols, i, height, e, row):
         x += 2
 
 
-@kernel
+@linked
 def square_sums(row0, col0, k, rows, cols, i, north, here, south, sums, e, scratch):
     """The sums of the square diamonds of row i, from those of the edge diamonds on their sides.
 

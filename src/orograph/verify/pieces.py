@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place, side
 from orograph.verify.ground import exists
 from orograph.verify.strips import C0, C1, C2, R0, R1, R2, corners
@@ -100,7 +100,7 @@ def largest_on_pieces(ground, block, shift, table, planes, lens, screen, worst):
                         judge_cell(ground, table, planes, k, shift, ground.west + j, row, lens, work, worst)
 
 
-@kernel
+@linked
 def survey_cells(ground, block, lens, screen, limit):
     """Find the cells that may hold an error of more than ``limit`` pixels."""
     codes, f, g, w = screen

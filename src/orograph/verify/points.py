@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel
+from orograph._numba import kernel, linked
 from orograph.dem.delaunay import Surface
 from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
@@ -185,7 +185,7 @@ def _measure(truth, ground, corners, mesh, size, first, held, lens, planes):
     return worst, where, areas, covered, heights
 
 
-@kernel
+@linked
 def _height(u, v, w, x, y):
     """Whether a place is in a triangle, and the height of its plane there."""
     area = (v[0] - u[0]) * (w[1] - u[1]) - (v[1] - u[1]) * (w[0] - u[0])
@@ -194,7 +194,7 @@ def _height(u, v, w, x, y):
     return f >= -1e-9 and g >= -1e-9 and f + g <= 1 + 1e-9, u[2] + f * (v[2] - u[2]) + g * (w[2] - u[2])
 
 
-@kernel
+@linked
 def _clip(a, b, c, u, v, w, p, q):
     """The intersection of two triangles, in ``p``; returns its number of corners (Sutherland & Hodgman 1974)."""
     for axis in range(2):
@@ -222,7 +222,7 @@ def _clip(a, b, c, u, v, w, p, q):
     return count
 
 
-@kernel
+@linked
 def _pixels(lens, planes, x, y, below, above):
     """Pixels between two points on a vertical; 0 where the first is not in view."""
     for k in range(len(planes)):

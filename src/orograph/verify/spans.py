@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.verify.strips import BEND, C0, C1, C2, R0, R1, R2, ceiling, compare, extent, order, sides
 
 
@@ -71,7 +71,7 @@ def bucket(corners, signs, size, bands):
     return start, members
 
 
-@kernel
+@linked
 def counted(values, indices, last):
     """``indices`` sorted by their values, 0 … ``last``, in a stable order."""
     place_at = np.zeros(last + 2, np.int64)
@@ -121,7 +121,7 @@ def sort_west_to_east(table, active, begin, end, y0, y1):
         active[j] = k
 
 
-@kernel
+@linked
 def ordered(corners, members):
     """The members as a table of triangles (``strips``), and their planes (k, 5) float64.
 

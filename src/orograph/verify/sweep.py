@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf
+from orograph._numba import inlined, kernel, leaf, linked
 from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place
 from orograph.verify.gaps import sweep_strip
 from orograph.verify.ground import existing_units, on_surface, unit_in_view
@@ -155,7 +155,7 @@ def judge_vertices(ground, corners, block, r, line, found):
             note(found, WRONG_HEIGHTS, x, y)
 
 
-@kernel
+@linked
 def begin(table, block, active):
     """Put the triangles that meet the strip below the block's first row into ``active``, from west to east.
 
