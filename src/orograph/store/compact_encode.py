@@ -34,7 +34,7 @@ from orograph.store.codec_head import (
     frequencies,
     full_weights,
 )
-from orograph.store.compact_contexts import activity_of, divided, length, shift_of
+from orograph.store.compact_contexts import activity_of, divided, length, log2, shift_of
 from orograph.store.compact_decode import (
     CONTEXTS,
     HEADER,
@@ -47,6 +47,9 @@ from orograph.store.compact_decode import (
 SAMPLED = 32  # rows that weights are fitted to
 FINE = 5  # bits of a mean value in symbols; those below are separate
 RARE = 8  # values that one in 2^8 exceeds are ranges
+CODES, LN2 = 48, 0.6931471805599453  # of frequencies; the natural logarithm of 2
+WEIGHT = np.array([code if code < 8 else (4 + code % 4) << (code // 4 - 1) for code in range(CODES)], np.float64)
+SURPRISE = np.array([1e9] + [float(BITS) - log2(weight) for weight in WEIGHT[1:]])  # bits of a symbol, by its code
 
 
 @kernel
@@ -161,26 +164,47 @@ def decided_tables(values, contexts, number, rare, coarse, depths, direct, found
         found[c, symbol_of(np.int64(flat[large[k]]) >> depths[c], direct[c])] += 1
     for c in range(number):
         for s in range(SYMBOLS):
-            if found[c, s]:
-                sizes[c] = s + 1
-                codes[c, s] = _code(max(float(found[c, s]) * TOTAL / counts[c], 1.0))
-        if counts[c] == 0:
-            direct[c], codes[c, 0] = 1, START
-        direct[c] = min(direct[c], max(sizes[c], 1))
-        sizes[c] = max(sizes[c], 1)
+            sizes[c] = s + 1 if found[c, s] or s == 0 else sizes[c]
+        decided_codes(found[c, : sizes[c]], codes[c])
+        direct[c] = min(direct[c], sizes[c]) if counts[c] else 1
         frequencies(codes[c], sizes[c], found[c])
     return sizes
 
 
-@shared
-def _code(frequency):
-    """The code nearest to a frequency ≥ 1."""
-    step, bits = frequency, 0
-    while step >= 8.0:
-        step *= 0.5
-        bits += 1
-    nearest = np.int64(np.floor(step + 0.5))
-    return min(nearest + 4 * bits, 47)
+@kernel
+def decided_codes(counts, codes):
+    """Decide the codes of a table: those with which values and table together take the fewest bits.
+
+    A shortest path: from symbol to symbol, the least bits up to each code. A step up by n takes n + 2 bits in the
+    table, one down n + 1. Weights count as if their sum were ``TOTAL``, which makes it so, approximately.
+
+    Args:
+        counts: of each symbol. codes: become theirs.
+    """
+    size, bits, found = counts.size, np.zeros(CODES), np.empty(CODES)
+    before, price = np.empty((size, CODES), np.int8), counts.sum() / (TOTAL * LN2)
+    for s in range(size):
+        if s == 0:
+            for code in range(CODES):
+                found[code] = abs(code - START)
+        else:
+            low = 0
+            for code in range(CODES):
+                if bits[code] - code <= bits[low] - low:
+                    low = code
+                found[code], before[s, code] = bits[low] - low + code + 2.0, low
+            high = CODES - 1
+            for code in range(CODES - 2, -1, -1):
+                if bits[high] + high - code + 1.0 < found[code]:
+                    found[code], before[s, code] = bits[high] + high - code + 1.0, high
+                if bits[code] + code < bits[high] + high:
+                    high = code
+        count = float(counts[s])
+        for code in range(CODES):
+            bits[code] = found[code] + count * SURPRISE[code] + price * WEIGHT[code]
+    codes[size - 1] = np.argmin(bits)
+    for s in range(size - 1, 0, -1):
+        codes[s - 1] = before[s, codes[s]]
 
 
 @kernel
