@@ -33,6 +33,7 @@ from orograph._lanes32 import (
     load32,
     marked,
     marked_before,
+    picked32,
     shifted_in,
     shifted_right,
     spread32,
@@ -151,6 +152,7 @@ def whole_numbers(x, y, pool, words, out):
     store32(out, 208, marked_before(a < 0))
     store32(out, 224, float_bits(b))
     store32(out, 240, where(marked(0b1010000000000101), a, 0))
+    store32(out, 256, picked32(words, 3, b & 15))
     return count_of(a < 0), lane(a, 15), some(a == 3)
 
 
@@ -159,7 +161,7 @@ def test_sixteen_whole_numbers() -> None:
     a, b = rng.integers(-(2**31), 2**31, (2, 16)).astype(np.int32)
     a[:4], b[:3] = [3, -(2**31), 2**31 - 1, 0], [3, 1, -1]
     pool, words = rng.integers(-(2**31), 2**31, 32).astype(np.int32), rng.integers(0, 2**16, 32).astype(np.uint16)
-    out, bits, low = np.empty(256, np.int32), a.view(np.uint32), b & 31
+    out, bits, low = np.empty(272, np.int32), a.view(np.uint32), b & 31
     assert whole_numbers(a, b, pool, words, out) == ((a < 0).sum(), a[15], True)
     before = np.concatenate([[0], np.cumsum(a < 0)[:-1]])
     right = ((bits >> low.astype(np.uint32)) + (np.uint32(1) << low.astype(np.uint32))).view(np.int32)
@@ -167,7 +169,8 @@ def test_sixteen_whole_numbers() -> None:
     expected = [a + b, a - b, a * b, 7 - a, (a & 255) | (b << 3), (a ^ b) >> 5, (bits >> np.uint32(5)).view(np.int32)]
     expected += [right, np.where((a < b) & (a != 3), a, b), np.minimum(bits, 4095), pool[low], words[low]]
     expected += [np.concatenate([[5], a[:-1]]), before, b.astype(np.float32).view(np.int32), a * np.array(chosen)]
-    np.testing.assert_array_equal(out.reshape(16, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
+    expected.append(words[3 + (b & 15)])
+    np.testing.assert_array_equal(out.reshape(17, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
 
 
 @kernel

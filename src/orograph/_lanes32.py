@@ -70,6 +70,29 @@ def gather32(typing: Any, array: Any, index: Any) -> Any:
 
 
 @operation
+def picked32(typing: Any, array: Any, index: Any, order: Any) -> Any:
+    """Elements of a flat uint16 array: of the sixteen from ``index`` on, for each lane the one that ``order`` names (0
+    to 15). Processors with AVX-512 do this without one load for each."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _address(context, builder, args[0], args[1], sig)
+        if "+avx512f" in context.codegen()._tm_features.split(","):
+            short = ir.VectorType(ir.IntType(16), LANES32)
+            some = builder.zext(builder.load(builder.bitcast(place, short.as_pointer()), align=2), _WORDS)
+            kind = ir.FunctionType(_WORDS, [_WORDS, _WORDS])
+            permute = cgutils.get_or_insert_function(builder.module, kind, "llvm.x86.avx512.permvar.si.512")
+            return builder.call(permute, [some, args[2]])
+        found = ir.Constant(_WORDS, ir.Undefined)
+        for k in range(LANES32):
+            at = builder.zext(builder.extract_element(args[2], _at(k)), ir.IntType(64))
+            one = builder.zext(builder.load(builder.gep(place, [at]), align=2), ir.IntType(32))
+            found = builder.insert_element(found, one, _at(k))
+        return found
+
+    return INTS32(array, index, order), lowered
+
+
+@operation
 def shifted_in(typing: Any, first: Any, values: Any) -> Any:
     """A number for the first lane, and for each other one the number of the lane before."""
 

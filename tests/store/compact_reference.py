@@ -6,6 +6,8 @@ import struct
 
 import numpy as np
 
+LANES = 16
+
 
 def wrapped(value):
     """As int32."""
@@ -55,7 +57,7 @@ def mask(data, at, mode, shape):
 class Stream:
     """States, and the words that feed them."""
 
-    def __init__(self, data, lanes=4):
+    def __init__(self, data, lanes=LANES):
         self.states = list(struct.unpack_from(f"<{lanes}I", data))
         self.words = list(struct.unpack(f"<{(len(data) - 4 * lanes) // 2}H", data[4 * lanes :]))[::-1]
 
@@ -80,22 +82,17 @@ class Stream:
         self.feed(lane)
         return value
 
-    def range(self, lane, bits):
-        value = self.bits(lane, min(bits, 16))
-        return 2**bits + value + (self.bits(lane, bits - 16) << 16 if bits > 16 else 0)
 
-
-def row_of_values(stream, tables, contexts):
-    found = [0] * len(contexts)
-    for col in range(0, len(contexts), 4):
-        four = [tables[c] for c in contexts[col : col + 4]]
-        symbols = [stream.symbol(lane, freq) for lane, (_, _, freq) in enumerate(four)]
-        for lane, (_, direct, _) in enumerate(four):
-            if symbols[lane] >= direct:
-                symbols[lane] = stream.range(lane, symbols[lane] - direct) + direct - 1
-        for lane, (depth, _, _) in enumerate(four):
-            value = symbols[lane] << depth | (stream.bits(lane, depth) if depth else 0)
-            found[col + lane] = value % 2**32
+def values_of(stream, step):
+    """The values of samples that are coded side by side: (lane, table) of each."""
+    found = [stream.symbol(lane, freq) for lane, (_, _, freq) in step]
+    ranges = [(k, lane, found[k] - one[1]) for k, (lane, one) in enumerate(step) if found[k] >= one[1]]
+    for k, lane, bits in ranges:
+        found[k] = step[k][1][1] - 1 + 2**bits + stream.bits(lane, min(bits, 16))
+    for k, lane, bits in ranges:
+        found[k] += stream.bits(lane, bits - 16) << 16 if bits > 16 else 0
+    for k, (lane, (depth, _, _)) in enumerate(step):
+        found[k] = (found[k] << depth | (stream.bits(lane, depth) if depth else 0)) % 2**32
     return found
 
 
@@ -103,7 +100,7 @@ def decoded(data, shape):
     """The samples, int32."""
     rows, cols = shape
     version, mode, number, shift, first = struct.unpack_from("<4Bi", data)
-    assert version == 1
+    assert version == 2
     weights = struct.unpack_from("<11h", data, 8)
     bounds, at, tables = list(data[30 : 29 + number]), 29 + number, []
     for _ in range(number):
@@ -113,17 +110,19 @@ def decoded(data, shape):
     if mode:
         marks, at = mask(data, at, mode, shape)
     stream = Stream(data[at:])
-    levels = [0] * (-(-cols // 4) * 4)
+    levels = [0] * (-(-cols // LANES) * LANES)
     lines = []
     for _ in range(rows):
-        values = row_of_values(stream, tables, [sum(level >= b for b in bounds) for level in levels])
+        own, values = [tables[sum(level >= b for b in bounds)] for level in levels], []
+        for col in range(0, len(own), LANES):
+            values += values_of(stream, list(enumerate(own[col : col + LANES])))
         m = [0, 0, *(min(v, 65535) for v in values), 0, 0]
         levels = [
             min((3 * m[j] + 2 * (m[j - 1] + m[j + 1]) + m[j - 2] + m[j + 2]) >> shift, 255)
             for j in range(2, len(m) - 2)
         ]
         lines.append(line_of(values[:cols], first, weights, lines[-2:]))
-    assert not stream.words and stream.states == [1 << 16] * 4
+    assert not stream.words and stream.states == [1 << 16] * LANES
     out = np.array(lines, np.int32)
     out[marks] = -(2**31)
     return out

@@ -5,9 +5,9 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-from compact_reference import Stream, mask, table, wrapped
+from compact_reference import LANES, Stream, mask, table, values_of, wrapped
 
-BINS, GROUPS, LANES, LAG, SMALL = 5, 64, 16, 3, 307
+BINS, GROUPS, LAG, SMALL = 5, 64, 3, 307
 FIRST = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
 
 
@@ -69,19 +69,6 @@ def foreseen(samples, sizes, row, col, weights, shares):
     activity = sum(s * share for s, share in zip(signs, shares, strict=True))
     bin_, other = bin_of(activity, t)
     return guess, (group_of(activity), bin_), other
-
-
-def values_of(stream, step):
-    """The values of the samples of a step: (lane, table) of each."""
-    found = [stream.symbol(lane, freq) for lane, (_, _, freq) in step]
-    ranges = [(k, lane, found[k] - one[1]) for k, (lane, one) in enumerate(step) if found[k] >= one[1]]
-    for k, lane, bits in ranges:
-        found[k] = step[k][1][1] - 1 + 2**bits + stream.bits(lane, min(bits, 16))
-    for k, lane, bits in ranges:
-        found[k] += stream.bits(lane, bits - 16) << 16 if bits > 16 else 0
-    for k, (lane, (depth, _, _)) in enumerate(step):
-        found[k] = (found[k] << depth | (stream.bits(lane, depth) if depth else 0)) % 2**32
-    return found
 
 
 def decoded(data, shape):

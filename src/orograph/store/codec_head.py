@@ -18,7 +18,7 @@ SYMBOLS = DIRECT + 32
 START = 36  # the predecessor of a table's first code
 DEEPEST = 16  # maximum bits below symbols
 LEAST = 1 << 16  # smallest state
-WORDS = 5  # maximum words per sample
+WORDS = 4  # maximum words per sample
 
 CUT_OFF, UNKNOWN, TABLES, MASK, STREAM = 1, 2, 3, 4, 5
 """Error codes: the chunk is too short; another version; its tables, mask or stream of words are invalid."""

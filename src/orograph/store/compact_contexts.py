@@ -31,7 +31,7 @@ def length(value):
 
 
 @shared
-def _log2(value):
+def log2(value):
     """The binary logarithm of a number ≥ 1, to 0.0002, by arithmetic that is the same everywhere."""
     whole = 0
     while value >= 2.0:
@@ -41,14 +41,14 @@ def _log2(value):
     return whole + f * (1.43807 + f * (-0.67477 + f * (0.31700 + f * -0.08030)))
 
 
-SMALL_COUNTS = np.array([0.0] + [count * _log2(float(count)) for count in range(1, 4096)])
+SMALL_COUNTS = np.array([0.0] + [count * log2(float(count)) for count in range(1, 4096)])
 """Counts times their logarithms."""
 
 
 @shared
 def _entropy(count):
     """A count times its logarithm."""
-    return SMALL_COUNTS[np.uint64(count)] if count < SMALL_COUNTS.size else count * _log2(float(count))
+    return SMALL_COUNTS[np.uint64(count)] if count < SMALL_COUNTS.size else count * log2(float(count))
 
 
 @kernel

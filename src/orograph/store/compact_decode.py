@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from orograph._lanes import LANES32, where
+from orograph._lanes32 import load32, marked, shifted_right, spread32, store32
 from orograph._numba import inlined, kernel
 from orograph.store.codec_head import (
-    BITS,
     CUT_OFF,
-    DIRECT,
     LEAST,
     MASK,
     NEIGHBOURS,
@@ -29,10 +29,10 @@ from orograph.store.codec_head import (
     read_weights,
     read_words,
     u32,
-)  # fmt: skip
+)
+from orograph.store.codec_lanes import Tables, add_depths, next_values
 
-VERSION = 1
-LANES = 4
+VERSION = 2
 CONTEXTS = 8
 CAP = 65535  # largest magnitude that counts for a context
 LEVELS = 256  # of activity
@@ -40,96 +40,40 @@ HEADER = 8 + 2 * NEIGHBOURS
 
 
 @inlined
-def next_symbol(x, p, words, table, base):
-    """Decode a symbol: (the next state, the next word, the symbol)."""
-    entry = np.int64(table[np.uint64(base + (x & (TOTAL - 1)))])
-    x = ((entry >> 20) + 1) * (x >> BITS) + (entry >> 8 & (TOTAL - 1))
-    short = x < LEAST
-    more = x << 16 | np.int64(words[np.uint64(p)])
-    return more if short else x, p + short, entry & 255
-
-
-@inlined
-def plain_bits(x, p, words, bits):
-    """Read plain bits, at most 16: (the next state, the next word, the bits)."""
-    value = x & ((np.int64(1) << bits) - 1)
-    x >>= bits
-    short = x < LEAST
-    more = x << 16 | np.int64(words[np.uint64(p)])
-    return more if short else x, p + short, value
-
-
-@kernel
-def ranged(x, p, words, symbol, direct):
-    """Decode the value of a range symbol and the bits after it: (the state, the next word, the value)."""
-    bits = symbol - DIRECT
-    x, p, value = plain_bits(x, p, words, min(bits, 16))
-    if bits > 16:
-        x, p, high = plain_bits(x, p, words, bits - 16)
-        value |= high << 16
-    return x, p, (np.int64(1) << bits) + value + direct - 1
-
-
-@inlined
-def _step(value, base, north, w0, w1, west, farther):
-    """A sample, from its value, the result of ``predicted``, N, and the two samples before it."""
-    residual = np.int32(np.int32(value >> np.uint32(1)) ^ -np.int32(value & np.uint32(1)))
+def _step(own, base, w0, w1, west, farther):
+    """A sample, from the sum of N and its residual, the result of ``predicted``, and the two samples before it."""
     t = np.int32(np.int32(base + np.int32(w1 * farther)) + np.int32(w0 * west))
-    return np.int32(np.int32(north + residual) + np.int32(t >> np.int32(12)))
+    return np.int32(own + np.int32(t >> np.int32(12)))
 
 
 @kernel
-def _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line):
-    """Decode the values of a row in four lanes, and rebuild the samples of the row above it; return the next word.
+def _row(states, p, words, tables, deep, places, values, before, sums, weights, base, near, line):
+    """Decode the values of a row in sixteen lanes, and rebuild the samples of the row above it; return the next word.
 
     The two tasks are independent, and each is mostly latency: a state waits for the table, a sample for the one before
     it. Interleaved, they take little longer than one of them.
 
     Args:
-        states: of the lanes. begins: the offset of each column's table.
-        values: (n,) uint32, become the row's.
-        weights, base, near: as in ``predicted``, for the row above. before: its values.
+        states: (LANES32,) int32. places: (n,) int32, of the columns' tables.
+        values: (n,) int32, become the row's. before: those of the row above. sums: (n,) int32, scratch.
+        weights, base, near: as in ``predicted``, for the row above.
         line: (n + 4,) int32, becomes its samples, from index 2 on.
     """
-    a, b, c, d = states[0], states[1], states[2], states[3]
-    w0, w1 = weights[0], weights[1]
+    now, every, w0, w1 = load32(states, 0), marked(0xFFFF), weights[0], weights[1]
     west = farther = near[2]
-    for i in range(values.size // LANES):
-        j = np.uint64(4 * i)
-        k, l, m = j + np.uint64(1), j + np.uint64(2), j + np.uint64(3)  # noqa: E741
-        ca, cb, cc, cd = np.int64(begins[j]), np.int64(begins[k]), np.int64(begins[l]), np.int64(begins[m])
-        a, p, va = next_symbol(a, p, words, table, ca)
-        b, p, vb = next_symbol(b, p, words, table, cb)
-        c, p, vc = next_symbol(c, p, words, table, cc)
-        d, p, vd = next_symbol(d, p, words, table, cd)
-        if max(max(va, vb), max(vc, vd)) >= DIRECT:
-            if va >= DIRECT:
-                a, p, va = ranged(a, p, words, va, direct[np.uint64(ca >> BITS)])
-            if vb >= DIRECT:
-                b, p, vb = ranged(b, p, words, vb, direct[np.uint64(cb >> BITS)])
-            if vc >= DIRECT:
-                c, p, vc = ranged(c, p, words, vc, direct[np.uint64(cc >> BITS)])
-            if vd >= DIRECT:
-                d, p, vd = ranged(d, p, words, vd, direct[np.uint64(cd >> BITS)])
-        if deep:
-            da, db = depths[np.uint64(ca >> BITS)], depths[np.uint64(cb >> BITS)]
-            dc, dd = depths[np.uint64(cc >> BITS)], depths[np.uint64(cd >> BITS)]
-            a, p, low = plain_bits(a, p, words, da)
-            va = va << da | low
-            b, p, low = plain_bits(b, p, words, db)
-            vb = vb << db | low
-            c, p, low = plain_bits(c, p, words, dc)
-            vc = vc << dc | low
-            d, p, low = plain_bits(d, p, words, dd)
-            vd = vd << dd | low
-        values[j], values[k], values[l], values[m] = va, vb, vc, vd
-        n, o = m + np.uint64(1), m + np.uint64(2)
-        e0 = _step(before[j], base[j], near[l], w0, w1, west, farther)
-        e1 = _step(before[k], base[k], near[m], w0, w1, e0, west)
-        farther = _step(before[l], base[l], near[n], w0, w1, e1, e0)
-        west = _step(before[m], base[m], near[o], w0, w1, farther, e1)
-        line[l], line[m], line[n], line[o] = e0, e1, farther, west
-    states[0], states[1], states[2], states[3] = a, b, c, d
+    for group in range(values.size // LANES32):
+        at = np.uint64(group * LANES32)
+        now, p, found = next_values(now, p, words, tables, deep, load32(places, at), every)
+        store32(values, at, found)
+        own = load32(before, at)
+        store32(sums, at, load32(near, at + np.uint64(2)) + (shifted_right(own, 1) ^ (0 - (own & 1))))
+        for k in range(LANES32):
+            j = at + np.uint64(k)
+            here = _step(sums[j], base[j], w0, w1, west, farther)
+            farther = west
+            west = here
+            line[j + np.uint64(2)] = west
+    store32(states, 0, now)
     return p
 
 
@@ -188,14 +132,11 @@ def decode(data, out):
     at: Any = read_weights(data, 8, weights)
     if at + contexts - 1 > data.size:
         return CUT_OFF
-    table_of = np.zeros(LEVELS, np.int32)
-    for k in range(contexts - 1):
-        for level in range(np.int64(data[at + k]), LEVELS):
-            table_of[level] += TOTAL
+    bounds = data[at : at + contexts - 1].astype(np.int32)
     at += contexts - 1
-    table = np.empty(contexts * TOTAL, np.uint32)
-    depths, direct = np.zeros(CONTEXTS, np.int64), np.zeros(CONTEXTS, np.int64)
-    at = read_tables(data, at, contexts, table, depths, direct)
+    entries = np.empty(contexts * TOTAL, np.uint32)
+    depths, direct = np.zeros(contexts, np.int64), np.zeros(contexts, np.int64)
+    at = read_tables(data, at, contexts, entries, depths, direct)
     if at < 0:
         return TABLES
     marks = np.empty((rows if mode else 0, cols), np.int32)
@@ -203,36 +144,53 @@ def decode(data, out):
         at = read_mask(data, at, mode, marks)
         if at < 0:
             return MASK
-    if at + 4 * LANES > data.size:
+    if at + 4 * LANES32 > data.size:
         return CUT_OFF
-    states = np.empty(LANES, np.int64)
-    for k in range(LANES):
-        states[k] = u32(data, at + 4 * k)
-    at += 4 * LANES
-    count = (data.size - at) // 2
-    width = LANES * (-(-cols // LANES))
-    words = np.zeros(count + WORDS * width + 1, np.uint16)
-    at = read_words(data, at, words[:count])
-    p = np.int64(0)
-    values, before, padded = np.zeros(width, np.uint32), np.zeros(width, np.uint32), np.zeros(width + 4, np.int32)
-    levels, base, lines = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros((3, width + 4), np.int32)
-    begins = np.zeros(width, np.int32)
-    deep = depths.any()
+    states = np.empty(LANES32, np.int32)
+    for k in range(LANES32):
+        states[k] = np.int32(u32(data, at + 4 * k))
+    at += 4 * LANES32
+    count, width = (data.size - at) // 2, LANES32 * (-(-cols // LANES32))
+    words = np.zeros(count + WORDS * width + LANES32, np.uint16)
+    if read_words(data, at, words[:count]) != data.size:
+        return STREAM
+    tables, deep = Tables(entries.view(np.int32), direct.astype(np.int32)), depths.any()
+    places = np.arange(contexts, dtype=np.int32) * np.int32(TOTAL)
+    add_depths(places, depths)
+    if not _decode_rows(words, count, tables, deep, bounds, places, weights, shift, first, states, out):
+        return STREAM
+    mark_missing(marks, out)
+    return 0
+
+
+@kernel
+def _decode_rows(words, count, tables, deep, bounds, places, weights, shift, first, states, out):
+    """Decode all rows; return whether the words end where they must.
+
+    Args:
+        words: uint16, ``count`` of them and zeros after them.
+        bounds: the least activities of contexts from the second on. places: of the contexts' tables.
+        states: (LANES32,). out: becomes the chunk.
+    """
+    rows, cols = out.shape
+    width, p = LANES32 * (-(-cols // LANES32)), np.int64(0)
+    values, before, sums = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width, np.int32)
+    levels, base, padded = np.zeros(width, np.int32), np.zeros(width, np.int32), np.zeros(width + 4, np.int32)
+    lines, own = np.zeros((3, width + 4), np.int32), np.full(width, places[0], np.int32)
     for row in range(rows):  # the values of this row, and the samples of the one above
         line, near, far = lines[(row + 2) % 3], lines[(row + 1) % 3], lines[row % 3]
         if row > 1:
             predicted(weights, near if row == 2 else far, near, base)
-        for col in range(width):
-            begins[col] = table_of[np.uint64(levels[col])]
-        p = _row(states, p, words, table, depths, direct, deep, begins, values, weights, before, base, near, line)
+        p = _row(states, p, words, tables, deep, own, values, before, sums, weights, base, near, line)
         if p > count:
-            return STREAM
+            return False
         if row == 1:
             _first(before, first, line)
         if row > 0:
             extend(line, cols)
             out[row - 1] = line[2 : cols + 2]
-        activities(values, shift, padded, levels)
+        activities(values.view(np.uint32), shift, padded, levels)
+        _put_places(levels, bounds, places, own)
         values, before = before, values
     line, near, far = lines[(rows + 2) % 3], lines[(rows + 1) % 3], lines[rows % 3]
     if rows == 1:
@@ -241,13 +199,23 @@ def decode(data, out):
         predicted(weights, near if rows == 2 else far, near, base)
         _rebuilt(weights, before, base, near, line)
     out[rows - 1] = line[2 : cols + 2]
-    if p != count or at != data.size:
-        return STREAM
-    for k in range(LANES):
-        if states[k] != LEAST:
-            return STREAM
-    mark_missing(marks, out)
-    return 0
+    return p == count and (states == LEAST).all()
+
+
+@inlined
+def _residual(value):
+    """A difference from its zigzag code."""
+    return np.int32((value >> np.int32(1)) & np.int32(0x7FFFFFFF)) ^ -np.int32(value & np.int32(1))
+
+
+@kernel
+def _put_places(levels, bounds, places, own):
+    """The place of each column's table, by its activity."""
+    for at in range(0, own.size, LANES32):
+        level, found = load32(levels, at), spread32(places[0])
+        for k in range(bounds.size):
+            found = where(level < bounds[k], found, places[k + 1])
+        store32(own, at, found)
 
 
 @kernel
@@ -255,8 +223,7 @@ def _first(values, first, line):
     """Rebuild the first row: each sample is predicted by the one before it."""
     west = first
     for j in range(values.size):
-        v = values[j]
-        west = np.int32(west + np.int32(np.int32(v >> np.uint32(1)) ^ -np.int32(v & np.uint32(1))))
+        west = np.int32(west + _residual(values[j]))
         line[j + 2] = west
 
 
@@ -265,7 +232,7 @@ def _rebuilt(weights, before, base, near, line):
     """Rebuild the samples of a row, as in ``_row``."""
     west = farther = near[2]
     for j in range(before.size):
-        here = _step(before[j], base[j], near[j + 2], weights[0], weights[1], west, farther)
+        here = _step(np.int32(near[j + 2] + _residual(before[j])), base[j], weights[0], weights[1], west, farther)
         farther = west
         west = here
         line[j + 2] = here

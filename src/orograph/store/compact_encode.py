@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orograph._lanes import LANES32
 from orograph._numba import inlined, kernel, shared
 from orograph.store.codec_fit import (
     AROUND,
@@ -34,11 +35,10 @@ from orograph.store.codec_head import (
     frequencies,
     full_weights,
 )
-from orograph.store.compact_contexts import activity_of, divided, length, shift_of
+from orograph.store.compact_contexts import activity_of, divided, length, log2, shift_of
 from orograph.store.compact_decode import (
     CONTEXTS,
     HEADER,
-    LANES,
     VERSION,
     extend,
     predicted,
@@ -47,6 +47,9 @@ from orograph.store.compact_decode import (
 SAMPLED = 32  # rows that weights are fitted to
 FINE = 5  # bits of a mean value in symbols; those below are separate
 RARE = 8  # values that one in 2^8 exceeds are ranges
+CODES, LN2 = 48, 0.6931471805599453  # of frequencies; the natural logarithm of 2
+WEIGHT = np.array([code if code < 8 else (4 + code % 4) << (code // 4 - 1) for code in range(CODES)], np.float64)
+SURPRISE = np.array([1e9] + [float(BITS) - log2(weight) for weight in WEIGHT[1:]])  # bits of a symbol, by its code
 
 
 @kernel
@@ -161,26 +164,47 @@ def decided_tables(values, contexts, number, rare, coarse, depths, direct, found
         found[c, symbol_of(np.int64(flat[large[k]]) >> depths[c], direct[c])] += 1
     for c in range(number):
         for s in range(SYMBOLS):
-            if found[c, s]:
-                sizes[c] = s + 1
-                codes[c, s] = _code(max(float(found[c, s]) * TOTAL / counts[c], 1.0))
-        if counts[c] == 0:
-            direct[c], codes[c, 0] = 1, START
-        direct[c] = min(direct[c], max(sizes[c], 1))
-        sizes[c] = max(sizes[c], 1)
+            sizes[c] = s + 1 if found[c, s] or s == 0 else sizes[c]
+        decided_codes(found[c, : sizes[c]], codes[c])
+        direct[c] = min(direct[c], sizes[c]) if counts[c] else 1
         frequencies(codes[c], sizes[c], found[c])
     return sizes
 
 
-@shared
-def _code(frequency):
-    """The code nearest to a frequency ≥ 1."""
-    step, bits = frequency, 0
-    while step >= 8.0:
-        step *= 0.5
-        bits += 1
-    nearest = np.int64(np.floor(step + 0.5))
-    return min(nearest + 4 * bits, 47)
+@kernel
+def decided_codes(counts, codes):
+    """Decide the codes of a table: those with which values and table together take the fewest bits.
+
+    A shortest path: from symbol to symbol, the least bits up to each code. A step up by n takes n + 2 bits in the
+    table, one down n + 1. Weights count as if their sum were ``TOTAL``, which makes it so, approximately.
+
+    Args:
+        counts: of each symbol. codes: become theirs.
+    """
+    size, bits, found = counts.size, np.zeros(CODES), np.empty(CODES)
+    before, price = np.empty((size, CODES), np.int8), counts.sum() / (TOTAL * LN2)
+    for s in range(size):
+        if s == 0:
+            for code in range(CODES):
+                found[code] = abs(code - START)
+        else:
+            low = 0
+            for code in range(CODES):
+                if bits[code] - code <= bits[low] - low:
+                    low = code
+                found[code], before[s, code] = bits[low] - low + code + 2.0, low
+            high = CODES - 1
+            for code in range(CODES - 2, -1, -1):
+                if bits[high] + high - code + 1.0 < found[code]:
+                    found[code], before[s, code] = bits[high] + high - code + 1.0, high
+                if bits[code] + code < bits[high] + high:
+                    high = code
+        count = float(counts[s])
+        for code in range(CODES):
+            bits[code] = found[code] + count * SURPRISE[code] + price * WEIGHT[code]
+    codes[size - 1] = np.argmin(bits)
+    for s in range(size - 1, 0, -1):
+        codes[s - 1] = before[s, codes[s]]
 
 
 @kernel
@@ -270,46 +294,68 @@ def ready_to_push(found):
 
 
 @kernel
-def _stream(values, contexts, depths, direct, found, words, states):
-    """Write the words from the end, in the reverse order of reading; return where they begin."""
-    rows, size = values.shape
+def _coded(values, contexts, depths, direct):
+    """The codes of all values, flat, and of each sixteen whether they have ranges (``stream``)."""
+    flat, of = values.reshape(values.size), contexts.reshape(values.size)
+    codes, ranges = np.empty(flat.size, np.int32), np.zeros(flat.size // LANES32, np.bool_)
+    for k in range(flat.size):
+        c = np.uint64(of[k])
+        symbol = symbol_of(np.int64(flat[k]) >> depths[c], direct[c])
+        codes[k] = np.int64(c) * SYMBOLS + symbol
+        ranges[k // LANES32] |= symbol >= direct[c]
+    return flat, codes, ranges
+
+
+@kernel
+def stream(values, codes, ranges, depths, direct, found, words, states):
+    """Write the words from the end, in the opposite order of reading; where they begin.
+
+    Args:
+        values: flat, of sixteen lanes in each step. codes: of each, a table's number times ``SYMBOLS``, plus the
+            symbol; -1 where a lane has nothing. ranges: of each step, whether it has ranges.
+        states: (LANES32,) int64, become those to begin with.
+    """
     p, deep = np.int64(words.size), depths.any()
     both, inverse = ready_to_push(found)
     states[:] = LEAST
-    codes = np.empty(size, np.int32)
-    for row in range(rows - 1, -1, -1):
-        line, of = values[row], contexts[row]
-        for col in range(size):
-            c = np.int64(of[col])
-            codes[col] = c * SYMBOLS + symbol_of(np.int64(line[col]) >> depths[np.uint64(c)], direct[np.uint64(c)])
-        for four in range(size - LANES, -1, -LANES):
-            beyond = False
-            for lane in range(LANES):
-                c = np.int64(of[np.uint64(four + lane)])
-                beyond |= codes[np.uint64(four + lane)] - c * SYMBOLS >= direct[np.uint64(c)]
-            if deep or beyond:
-                p = _push_bits(line, of, codes, four, depths, direct, states, p, words)
-            for lane in range(LANES - 1, -1, -1):
-                here, x = np.int64(codes[np.uint64(four + lane)]), states[np.uint64(lane)]
-                states[np.uint64(lane)], p = push(x, p, words, both, inverse, here)
+    for step in range(ranges.size - 1, -1, -1):
+        at = step * LANES32
+        if deep:
+            p = _push_low(values, codes, at, depths, states, p, words)
+        if ranges[step]:
+            p = _push_ranges(values, codes, at, depths, direct, states, p, words)
+        for i in range(LANES32 - 1, -1, -1):
+            code = np.int64(codes[np.uint64(at + i)])
+            if code >= 0:
+                states[np.uint64(i)], p = push(states[np.uint64(i)], p, words, both, inverse, code)
     return p
 
 
 @kernel
-def _push_bits(line, of, codes, four, depths, direct, states, p, words):
-    """Write the bits below the symbols of four values of a row, and those of ranges; the word before."""
-    for lane in range(LANES - 1, -1, -1):
-        depth, value = depths[of[four + lane]], np.int64(line[four + lane])
+def _push_low(values, codes, at, depths, states, p, words):
+    """Write the bits below the symbols of sixteen values; the word before."""
+    for i in range(LANES32 - 1, -1, -1):
+        depth = depths[codes[at + i] // SYMBOLS] if codes[at + i] >= 0 else 0
         if depth:
-            states[lane], p = push_plain(states[lane], p, words, depth, value & ((1 << depth) - 1))
-    for lane in range(LANES - 1, -1, -1):
-        c = of[four + lane]
-        bits = codes[four + lane] - c * SYMBOLS - direct[c]
-        if bits >= 0:
-            beyond = (np.int64(line[four + lane]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
-            if bits > 16:
-                states[lane], p = push_plain(states[lane], p, words, bits - 16, beyond >> 16)
-            states[lane], p = push_plain(states[lane], p, words, min(bits, 16), beyond & 0xFFFF)
+            low = np.int64(values[at + i]) & ((1 << depth) - 1)
+            states[i], p = push_plain(states[i], p, words, depth, low)
+    return p
+
+
+@kernel
+def _push_ranges(values, codes, at, depths, direct, states, p, words):
+    """Write the bits of the ranges of sixteen values: those above sixteen bits before the rest; the word before."""
+    for high in range(1, -1, -1):
+        for i in range(LANES32 - 1, -1, -1):
+            c = codes[at + i] // SYMBOLS
+            bits = codes[at + i] - c * SYMBOLS - direct[c] if c >= 0 else -1
+            if bits < 0:
+                continue
+            beyond = (np.int64(values[at + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
+            if high and bits > 16:
+                states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
+            elif not high:
+                states[i], p = push_plain(states[i], p, words, min(bits, 16), beyond & 0xFFFF)
     return p
 
 
@@ -335,7 +381,7 @@ def encode(numbers):
     given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
     fitted(numbers, given)
     full_weights(given, weights)
-    width = LANES * (-(-cols // LANES))
+    width = LANES32 * (-(-cols // LANES32))
     values, activity = np.empty((rows, width), np.uint32), np.empty((rows, width), np.int32)
     _values(numbers, weights, first, lowest, highest, values)
     shift = shift_of(values)
@@ -346,8 +392,9 @@ def encode(numbers):
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
     sizes = decided_tables(values, activity, contexts, RARE, FINE, depths, direct, found, codes)
-    words, states = np.empty(WORDS * values.size + 1, np.uint16), np.empty(LANES, np.int64)
-    p = _stream(values, activity, depths, direct, found, words, states)
+    words, states = np.empty(WORDS * values.size + 1, np.uint16), np.empty(LANES32, np.int64)
+    flat, steps, ranges = _coded(values, activity, depths, direct)
+    p = stream(flat, steps, ranges, depths, direct, found, words, states)
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
     mode, at = 0, HEADER
     head[0], head[2], head[3] = VERSION, contexts, shift
@@ -364,13 +411,13 @@ def encode(numbers):
         mode = 1 if one <= two else 2
         at = write_mask(numbers, mode, head, at)
     head[1] = mode
-    out = np.empty(at + 4 * LANES + 2 * (words.size - p), np.uint8)
+    out = np.empty(at + 4 * LANES32 + 2 * (words.size - p), np.uint8)
     for k in range(at):
         out[k] = head[k]
-    for lane in range(LANES):
+    for lane in range(LANES32):
         for k in range(4):
             out[at + 4 * lane + k] = np.uint8(states[lane] >> (8 * k) & 255)
-    at += 4 * LANES
+    at += 4 * LANES32
     for k in range(words.size - p):
         out[at + 2 * k] = np.uint8(words[p + k] & 255)
         out[at + 2 * k + 1] = np.uint8(words[p + k] >> 8)

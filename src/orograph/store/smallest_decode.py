@@ -11,20 +11,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orograph._lanes import LANES32, least, most, some, where
+from orograph._lanes import LANES32, where
 from orograph._lanes32 import (
-    count_of,
     gather32,
     lane,
     least_unsigned,
     load32,
     marked,
-    marked_before,
     shifted_in,
     shifted_right,
-    spread32,
     store32,
     transpose32,
 )
@@ -32,7 +28,6 @@ from orograph._numba import inlined, kernel
 from orograph.store.codec_head import (
     BITS,
     CUT_OFF,
-    DIRECT,
     LEAST,
     MASK,
     MISSING,
@@ -40,12 +35,14 @@ from orograph.store.codec_head import (
     TABLES,
     TOTAL,
     UNKNOWN,
+    WORDS,
     read_mask,
     read_tables,
     read_weights,
     read_words,
     u32,
 )
+from orograph.store.codec_lanes import Flat, Tables, add_depths, next_values
 from orograph.store.smallest_head import FACTORS, MARKS, mark_steps, put_factors, read_cells
 from orograph.store.smallest_rows import (
     BINS,
@@ -59,7 +56,6 @@ from orograph.store.smallest_rows import (
     SIGNS,
     VERSION,
     WEIGHTS,
-    WORDS,
     cell_of,
     period_of,
     size_of,
@@ -68,18 +64,6 @@ from orograph.store.smallest_rows import (
 
 BLOCK = 64  # steps between two checks whether the words have run out
 PAST = 5  # earlier steps that a step refers to
-
-Flat = NDArray[np.int32]
-
-
-class Tables(NamedTuple):
-    """Frequencies, offsets and symbols (``read_tables``); for each table the bits below symbols and the number of
-    values; the offset of each cell's table. All are flat, int32."""
-
-    entries: Flat
-    depths: Flat
-    direct: Flat
-    cells: Flat
 
 
 class Front(NamedTuple):
@@ -98,22 +82,6 @@ class Front(NamedTuple):
     down: Flat
     edges: Flat
     last: Flat
-
-
-@inlined
-def _refilled(states, p, words):
-    """Refill states below ``LEAST`` with a word each: (the states; the next word.)"""
-    short = shifted_right(states, 16) == 0
-    more = gather32(words, marked_before(short) + p)
-    return where(short, (states << 16) | more, states), p + count_of(short)
-
-
-@inlined
-def _plain_bits(states, p, words, bits):
-    """Read plain bits of each lane, at most 16: (the states; the next word; the bits.)"""
-    found = states & ((spread32(1) << bits) - 1)
-    states, p = _refilled(shifted_right(states, bits), p, words)
-    return states, p, found
 
 
 @inlined
@@ -154,37 +122,13 @@ def _active(factors, at, front, o, e_nee, e_nn, across):
     return of_errors + slopes + _times(factors, at, 22, load32(down, o3)) + _times(factors, at, 23, across)
 
 
-@inlined
-def _values(states, p, words, tables, deep, cells, coded):
-    """Decode a value of each lane that has a sample: (the states, the next word, the values.)"""
-    begins = gather32(tables.cells, cells)
-    entries = gather32(tables.entries, begins + (states & (TOTAL - 1)))
-    after = (shifted_right(entries, 20) + 1) * shifted_right(states, BITS) + (shifted_right(entries, 8) & (TOTAL - 1))
-    states, p = _refilled(where(coded, after, states), p, words)
-    values = entries & 255
-    ranges = (values >= DIRECT) & coded
-    if some(ranges):
-        bits = where(ranges, values - DIRECT, 0)
-        states, p, found = _plain_bits(states, p, words, least(bits, 16))
-        if some(bits > 16):
-            states, p, high = _plain_bits(states, p, words, most(bits - 16, 0))
-            found = found | (high << 16)
-        first = gather32(tables.direct, shifted_right(begins, BITS)) - 1
-        values = where(ranges, (spread32(1) << bits) + found + first, values)
-    if deep:
-        depths = where(coded, gather32(tables.depths, shifted_right(begins, BITS)), 0)
-        states, p, low = _plain_bits(states, p, words, depths)
-        values = (values << depths) | low
-    return states, p, values
-
-
 @kernel
-def _decode_block(count, step, period, p, words, tables, deep, factors, coded, starts, front, out):
+def _decode_block(count, step, period, p, words, tables, deep, places, factors, coded, starts, front, out):
     """Decode a block of steps; return the next word.
 
     Args:
         count: the number of steps, at most ``BLOCK``. step: the first. p: the next word of ``words``.
-        deep: whether any table has bits below its symbols.
+        deep: whether any table has bits below its symbols. places: of each cell's table (``add_depths``).
         factors: flat, of even and odd steps, ``FACTORS`` of sixteen lanes each.
         coded, starts: (steps,) uint16, the lanes that have a sample in a step, and those that are two before a row.
         out: flat, becomes the samples of each step of the block.
@@ -217,7 +161,7 @@ def _decode_block(count, step, period, p, words, tables, deep, factors, coded, s
         cells, turned = cell_of(active, t)
         mine = marked(coded[np.uint64(step + k)])
         cells += load32(factors, at + np.uint64((FACTORS - 1) * LANES32))
-        states, p, values = _values(states, p, words, tables, deep, cells, mine)
+        states, p, values = next_values(states, p, words, tables, deep, gather32(places, cells), mine)
         half, odd = shifted_right(values, 1), values & 1
         found = guess + (((half ^ (0 - odd)) ^ turned) - turned)
         farther, left = west, west
@@ -255,11 +199,12 @@ def _begun(period, first):
 
 
 @kernel
-def _decode_steps(words, count, tables, classes, weights, shares, marks, first, states, out):
+def _decode_steps(words, count, tables, deep, places, classes, weights, shares, marks, first, states, out):
     """Decode all steps; return whether the words end where they must.
 
     Args:
-        words: uint16, ``count`` of them and zeros after them. states: (lanes,), for the rows that exist.
+        words: uint16, ``count`` of them and zeros after them. places: of each cell's table.
+        states: (lanes,), for the rows that exist.
         marks: (rows, cols) int32, where samples are missing, or without rows. out: becomes the chunk.
     """
     rows, cols = out.shape
@@ -269,12 +214,12 @@ def _decode_steps(words, count, tables, classes, weights, shares, marks, first, 
     front, factors, block, lines = _begun(period, first)
     front.last[3 * LANES32 :] = LEAST
     front.last[3 * LANES32 : 3 * LANES32 + states.size] = states
-    deep, p, step = tables.depths.any(), np.int64(0), np.int64(0)
+    p, step = np.int64(0), np.int64(0)
     while step < steps:
         if step == 0 or step == period:
             put_factors(step // period, classes, weights, shares, factors)
         size = min(BLOCK, (period if step < period else steps) - step)
-        p = _decode_block(size, step, period, p, words, tables, deep, factors, coded, starts, front, block)
+        p = _decode_block(size, step, period, p, words, tables, deep, places, factors, coded, starts, front, block)
         if p > count:
             return False
         _put_samples(block, lines, size, step, out)
@@ -354,7 +299,8 @@ def decode(data, out):
     at = read_tables(data, at, number, entries, depths, direct)
     if at < 0:
         return TABLES
-    tables = Tables(entries.view(np.int32), depths.astype(np.int32), direct.astype(np.int32), cells)
+    add_depths(cells, depths)
+    tables, deep = Tables(entries.view(np.int32), direct.astype(np.int32)), depths.any()
     marks = np.empty((rows if mode else 0, cols), np.int32)
     if mode:
         at = read_mask(data, at, mode, marks)
@@ -371,7 +317,7 @@ def decode(data, out):
     at = read_words(data, at, words[:count])
     if at != data.size:
         return STREAM
-    if not _decode_steps(words, count, tables, classes, weights, shares, marks, first, states, out):
+    if not _decode_steps(words, count, tables, deep, cells, classes, weights, shares, marks, first, states, out):
         return STREAM
     _clear(marks, classes, out)
     return 0

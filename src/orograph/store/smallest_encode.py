@@ -11,18 +11,16 @@ import numpy as np
 from orograph._lanes import LANES32
 from orograph._numba import kernel
 from orograph.store.codec_head import (
-    LEAST,
     MISSING,
     NEIGHBOURS,
     SYMBOLS,
+    WORDS,
     full_weights,
 )
 from orograph.store.compact_contexts import cost_of, grouped, joined, token
 from orograph.store.compact_encode import (
     decided_tables,
-    push,
-    push_plain,
-    ready_to_push,
+    stream,
     symbol_of,
     write_mask,
     write_tables,
@@ -39,7 +37,6 @@ from orograph.store.smallest_rows import (
     SIGNS,
     VERSION,
     WEIGHTS,
-    WORDS,
     begin_of,
     steps_of,
 )
@@ -210,57 +207,6 @@ def _in_steps(values, tables, depths, direct, lines):
 
 
 @kernel
-def _stream(ordered, codes, ranges, depths, direct, found, words, states):
-    """Write the words from the end, in the opposite order of reading; where they begin.
-
-    Args:
-        ordered, codes, ranges: from ``_in_steps``. states: (LANES32,) int64, become those to begin with.
-    """
-    p, deep = np.int64(words.size), depths.any()
-    both, inverse = ready_to_push(found)
-    states[:] = LEAST
-    for step in range(ranges.size - 1, -1, -1):
-        at = step * LANES32
-        if deep:
-            p = _push_low(ordered, codes, at, depths, states, p, words)
-        if ranges[step]:
-            p = _push_ranges(ordered, codes, at, depths, direct, states, p, words)
-        for i in range(LANES32 - 1, -1, -1):
-            code = np.int64(codes[np.uint64(at + i)])
-            if code >= 0:
-                states[np.uint64(i)], p = push(states[np.uint64(i)], p, words, both, inverse, code)
-    return p
-
-
-@kernel
-def _push_low(ordered, codes, at, depths, states, p, words):
-    """Write the bits below the symbols of a step; the word before."""
-    for i in range(LANES32 - 1, -1, -1):
-        depth = depths[codes[at + i] // SYMBOLS] if codes[at + i] >= 0 else 0
-        if depth:
-            low = np.int64(ordered[at + i]) & ((1 << depth) - 1)
-            states[i], p = push_plain(states[i], p, words, depth, low)
-    return p
-
-
-@kernel
-def _push_ranges(ordered, codes, at, depths, direct, states, p, words):
-    """Write the bits of the ranges of a step: those above sixteen bits before the rest; the word before."""
-    for high in range(1, -1, -1):
-        for i in range(LANES32 - 1, -1, -1):
-            c = codes[at + i] // SYMBOLS
-            bits = codes[at + i] - c * SYMBOLS - direct[c] if c >= 0 else -1
-            if bits < 0:
-                continue
-            beyond = (np.int64(ordered[at + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
-            if high and bits > 16:
-                states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
-            elif not high:
-                states[i], p = push_plain(states[i], p, words, min(bits, 16), beyond & 0xFFFF)
-    return p
-
-
-@kernel
 def _write_u32(out, at, value):
     """Write the lowest 32 bits of a number, lowest byte first."""
     for k in range(4):
@@ -314,7 +260,7 @@ def encode(numbers, classes):
     sizes = decided_tables(values, kinds, number, RARE, COARSE, depths, direct, found, codes)
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
     ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
-    p = _stream(ordered, steps, ranges, depths, direct, found, words, states)
+    p = stream(ordered, steps, ranges, depths, direct, found, words, states)
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
     head[0], head[2], head[3] = VERSION, classes, number

@@ -28,7 +28,8 @@ from orograph.store.smallest_look import count_of, miss_row, parities_of, places
 from orograph.store.smallest_rows import CLASSES, SIGNS, class_of
 
 SAMPLED = 4096  # samples of a class that are used, approximately
-SWEEPS = 40
+SWEEPS = 100
+LEAST_SIZE = 0.5  # of a residual that is expected, for the weights of samples
 TERMS = -(-(SIGNS + 2) // FOUR) * FOUR  # the signs, a constant, the size of the residual, and zeros
 
 
@@ -82,10 +83,11 @@ def fitted_weights(lines, row0, parity, weights):
 
 
 @kernel
-def _add_signs(lines, row, parity, noted, features, weighed, sums):
+def _add_signs(lines, row, parity, expected, noted, features, weighed, sums):
     """Add the samples of a parity of a row to the sums of their class.
 
     Args:
+        expected: (SIGNS + 1,), how large residuals are by each sign and a constant; samples count accordingly.
         noted: flat, scratch: the signs, and the sizes of residuals. features: (``TERMS``, …), a constant in one.
     """
     rows, at, count = rows_of(lines, row), places_of(lines, parity), count_of(lines, parity)
@@ -95,16 +97,16 @@ def _add_signs(lines, row, parity, noted, features, weighed, sums):
         for k in range(SIGNS):
             store32(noted, k * width + t, signs[k])
         store32(noted, SIGNS * width + t, load32(lines.sizes, rows[5] + at[2] + t))
-    total = np.zeros(width, np.int32)
+    total = np.full(width, LEAST_SIZE + expected[SIGNS])
     for k in range(SIGNS + 1):
         own, sizes = features[k if k < SIGNS else SIGNS + 1], noted[k * width : (k + 1) * width]
         for i in range(width):
             own[i] = float(sizes[i])
-        for i in range(width if k < SIGNS else 0):
-            total[i] += sizes[i]
+        each = expected[k] if k < SIGNS else 0.0
+        for i in range(width if each > 0.0 else 0):
+            total[i] += each * own[i]
     for i in range(width):
-        share = 1.0 / (1.0 + total[i] / SIGNS)
-        weighed[i] = share * share if i < count else 0.0
+        weighed[i] = 1.0 / (total[i] * total[i]) if i < count else 0.0
     if lines.marks.size:
         for i in range(count):
             weighed[i] = 0.0 if lines.marks[row, parity + every * i] else weighed[i]
@@ -122,29 +124,32 @@ def fitted_shares(lines, weights, shares):
     step = 2 * max(rows * cols // (SAMPLED * (2 if lines.split else 1)), 2)
     features = features_of(TERMS, -(-count_of(lines, 0) // LANES32) * LANES32)
     noted, weighed = np.zeros(features.size, np.int32), np.zeros(features.shape[1])
-    sums = [sums_of(TERMS) for _ in range(classes)]
+    expected = np.full((CLASSES, SIGNS + 1), 1.0 / SIGNS)
     features[SIGNS] = 1.0
-    for row in range(rows):
-        if (row + 2) % step >= 4:  # (two rows of each ``step``; they need the sizes of the two before them)
-            continue
-        miss_row(lines, row, weights)
-        first, end = parities_of(lines, row)
-        for parity in range(first, end if row > 0 and row % step < 2 else first):
-            k = class_of(row, parity, classes)
-            _add_signs(lines, row, parity, noted, features, weighed, sums[k])
+    for _ in range(2):  # (what is expected to be large must not outvote what is expected to be small)
+        sums = [sums_of(TERMS) for _ in range(classes)]
+        for row in range(rows):
+            if (row + 2) % step >= 4:  # (two rows of each ``step``; they need the sizes of the two before them)
+                continue
+            miss_row(lines, row, weights)
+            first, end = parities_of(lines, row)
+            for parity in range(first, end if row > 0 and row % step < 2 else first):
+                k = class_of(row, parity, classes)
+                _add_signs(lines, row, parity, expected[k], noted, features, weighed, sums[k])
+        for k in range(classes == CLASSES, classes):
+            _solve_shares(totals(sums[k], TERMS), expected[k])
     for k in range(classes == CLASSES, classes):
-        _solve_shares(totals(sums[k], TERMS), shares[k])
+        for i in range(SIGNS):
+            shares[k, i] = min(np.int64(np.floor(expected[k, i] * 256 + 0.5)), 255)
 
 
 @kernel
-def _solve_shares(matrix, shares):
-    """Shares in 1/256 from the sums of all products."""
-    found = np.zeros(SIGNS + 1)
+def _solve_shares(matrix, found):
+    """Shares that are not negative, and a constant, from the sums of all products."""
+    found[:] = 0.0
     for _ in range(SWEEPS):
         for k in range(SIGNS + 1):
             off = matrix[SIGNS + 1, k]
             for m in range(SIGNS + 1):
                 off -= matrix[k, m] * found[m]
             found[k] = max(found[k] + off / (matrix[k, k] + 1e-3), 0.0)
-    for k in range(SIGNS):
-        shares[k] = min(np.int64(np.floor(found[k] * 256 + 0.5)), 255)

@@ -19,7 +19,6 @@ WEIGHTS = NEIGHBOURS + 1
 GROUPS = 64  # of activity: four per octave
 OCTAVE = 7  # bits of the least activity beyond the first group
 LOWEST = (127 + OCTAVE - 1) * 4  # quarter octaves below the first group, as the bits of a float count them
-WORDS = 4  # most words that one sample takes
 BINS = 5  # of the position of a prediction
 SETS = 48  # most tables
 CAP = 4095  # largest value of a sign

@@ -5,7 +5,7 @@
 //   const numbers = decode(bytes, 256, 256);  // bytes: Uint8Array, without the crc32c behind it
 //   const height = numbers[row * 256 + col] * scale_factor;
 
-export const MISSING = -(2 ** 31);
+export const MISSING = -(2 ** 31), LANES = 16;
 
 export class Bytes {
   constructor(data) {
@@ -97,30 +97,29 @@ export class Stream {
     this.feed(lane, state >>> count);
     return state & ((1 << count) - 1);
   }
-  range(lane, bits) {
-    const low = this.bits(lane, Math.min(bits, 16));
-    return 2 ** bits + low + (bits > 16 ? this.bits(lane, bits - 16) * 65536 : 0);
-  }
 }
 
-function rowOfValues(stream, tables, values) {
-  const symbol = [0, 0, 0, 0];
-  for (let col = 0; col < values.length; col += 4) {
-    for (let k = 0; k < 4; k++) symbol[k] = stream.symbol(k, tables[col + k]);
-    for (let k = 0; k < 4; k++) {
-      const { direct } = tables[col + k];
-      if (symbol[k] >= direct) symbol[k] = direct - 1 + stream.range(k, symbol[k] - direct);
-    }
-    for (let k = 0; k < 4; k++) {
-      const { depth } = tables[col + k];
-      values[col + k] = depth ? symbol[k] * 2 ** depth + stream.bits(k, depth) : symbol[k];
-    }
+// Gives each of the samples that are coded side by side, {lane, table}, its value.
+export function decodeStep(stream, coded) {
+  for (const one of coded) one.value = stream.symbol(one.lane, one.table);
+  const ranges = coded.filter(({ value, table }) => value >= table.direct);
+  for (const one of ranges) {
+    one.bits = one.value - one.table.direct;
+    one.low = stream.bits(one.lane, Math.min(one.bits, 16));
+  }
+  for (const one of ranges) {
+    const high = one.bits > 16 ? stream.bits(one.lane, one.bits - 16) : 0;
+    one.value = one.table.direct - 1 + 2 ** one.bits + one.low + high * 65536;
+  }
+  for (const one of coded) {
+    const { depth } = one.table;
+    one.value = (depth ? one.value * 2 ** depth + stream.bits(one.lane, depth) : one.value) % 2 ** 32;
   }
 }
 
 export function decode(data, rows, cols) {
   const bytes = new Bytes(data);
-  must(bytes.byte() === 1, "it is of another version of the codec, or no chunk of it");
+  must(bytes.byte() === 2, "it is of another version of the codec, or no chunk of it");
   const mode = bytes.byte(), contexts = bytes.byte(), shift = bytes.byte();
   must(mode <= 2 && contexts >= 1 && contexts <= 8 && shift <= 15, "its head is not possible");
   const first = bytes.take(4, DataView.prototype.getInt32);
@@ -129,12 +128,16 @@ export function decode(data, rows, cols) {
   const all = Array.from({ length: contexts }, () => table(bytes));
   const byLevel = Array.from({ length: 256 }, (_, level) => all[least.filter((l) => level >= l).length]);
   const marks = mode ? missing(bytes, mode, rows, cols) : null;
-  const stream = new Stream(bytes, 4);
-  const width = 4 * Math.ceil(cols / 4), values = new Uint32Array(width), magnitude = new Int32Array(width + 4);
+  const stream = new Stream(bytes, LANES);
+  const width = LANES * Math.ceil(cols / LANES), values = new Uint32Array(width), magnitude = new Int32Array(width + 4);
   const tables = new Array(width).fill(byLevel[0]);
   const out = new Int32Array(rows * cols);
   for (let row = 0; row < rows; row++) {
-    rowOfValues(stream, tables, values);
+    for (let col = 0; col < width; col += LANES) {
+      const coded = Array.from({ length: LANES }, (_, lane) => ({ lane, table: tables[col + lane] }));
+      decodeStep(stream, coded);
+      for (const { lane, value } of coded) values[col + lane] = value;
+    }
     rebuild(out, row, cols, values, weights, first);
     for (let j = 0; j < width; j++) magnitude[j + 2] = Math.min(values[j], 65535);
     for (let j = 0; j < width; j++) {

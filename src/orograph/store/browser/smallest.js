@@ -4,9 +4,9 @@
 //   import { decode } from "./smallest.js";
 //   const numbers = decode(bytes, 256, 256);  // bytes: Uint8Array, without the crc32c behind it
 
-import { Bytes, MISSING, Stream, missing, must, table, unzigzag } from "./compact.js";
+import { Bytes, LANES, MISSING, Stream, decodeStep, missing, must, table, unzigzag } from "./compact.js";
 
-const BINS = 5, GROUPS = 64, LANES = 16, LAG = 3, SMALL = 307;
+const BINS = 5, GROUPS = 64, LAG = 3, SMALL = 307;
 const FIRST = { weights: [6144, -2048, 0, 0, 0, 0, 0, 0, 0, 0, 0], shares: [...new Array(12).fill(0), 128, 0, 128, 0, 0] };
 const size = (difference) => Math.min(Math.abs(difference | 0), 4095);
 
@@ -111,22 +111,4 @@ export function decode(data, rows, cols) {
     for (let col = 0; col < cols; col++, k++)
       out[k] = marks[k] ? MISSING : nested && !((row | col) & 1) ? 0 : samples[(row + 2) * width + col + 2];
   return out;
-}
-
-// Gives each sample of a step its value.
-function decodeStep(stream, coded) {
-  for (const one of coded) one.value = stream.symbol(one.lane, one.table);
-  const ranges = coded.filter(({ value, table }) => value >= table.direct);
-  for (const one of ranges) {
-    one.bits = one.value - one.table.direct;
-    one.low = stream.bits(one.lane, Math.min(one.bits, 16));
-  }
-  for (const one of ranges) {
-    const high = one.bits > 16 ? stream.bits(one.lane, one.bits - 16) : 0;
-    one.value = one.table.direct - 1 + 2 ** one.bits + one.low + high * 65536;
-  }
-  for (const one of coded) {
-    const { depth } = one.table;
-    one.value = (depth ? one.value * 2 ** depth + stream.bits(one.lane, depth) : one.value) % 2 ** 32;
-  }
 }
