@@ -20,7 +20,7 @@ from imgui_bundle import imgui
 from pyproj import Transformer
 
 from orograph.geovis.data.dataset import Dataset
-from orograph.viewer.panels import data as panel
+from orograph.viewer.commands import change_data
 from orograph.viewer.panels import plot
 
 pytestmark = pytest.mark.stress
@@ -192,7 +192,7 @@ def analyst(opened: Analyst) -> Analyst:
     window.texts.clear()
     if shown.exceeds is not None or shown.time:
         shown.exceeds = None
-        panel.change(window, time="")
+        change_data(window, time="")
         opened.painted()
     return opened
 

@@ -55,9 +55,19 @@ class Found:
 
     @property
     def words(self) -> str:
-        value = self.value if isinstance(self.value, str) else f"{self.value:.4g}"
-        doubt = "" if self.sigma is None else f" ± {self.sigma:.2g}"
-        return f"{self.name} {value}{doubt} {self.unit}".rstrip()
+        return f"{self.name} {self.value_words}"
+
+    @property
+    def value_words(self) -> str:
+        """The value in its unit, to the second digit of its standard deviation if that is known."""
+        if isinstance(self.value, str):
+            return self.value
+        if self.sigma is None or not 0 < self.sigma < math.inf:
+            said = f"{self.value:.4g}" + ("" if self.sigma is None else f" ± {self.sigma:g}")
+        else:
+            places = max(1 - math.floor(math.log10(float(f"{self.sigma:.1e}"))), 0)
+            said = f"{self.value:.{places}f} ± {self.sigma:.{places}f}"
+        return f"{said} {self.unit}".rstrip()
 
 
 class ShownData:
@@ -210,6 +220,14 @@ class ShownData:
             if raster and (one.uncertainty is not None or one.exceeds is not None):
                 return k
         return None
+
+    @property
+    def exceeding(self) -> Shown | None:
+        """The painted data of ``doubtful``; None: they are not painted yet."""
+        k = self.doubtful
+        asked = None if k is None else self.data[k]
+        return next((one for one in self.painted if asked is not None and one.dataset.source is asked.source
+                     and (one.dataset.variable, one.dataset.band) == (asked.variable, asked.band)), None)  # fmt: skip
 
     def _at_time(self, k: int, one: Dataset, terrain: Terrain) -> Dataset:
         if not self.time:
