@@ -6,17 +6,24 @@ import math
 
 import numpy as np
 import pytest
+import rasterio
+from affine import Affine
+from pyproj import CRS
 
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("rendercanvas")
 
+from orograph.dem.raster import Dem
 from orograph.errors import UsageError
+from orograph.geo.grid import Grid
 from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.painting import shown
 from orograph.geovis.data.priority import Priority
+from orograph.measuring import Places
+from orograph.store import terrain as in_memory
 from orograph.viewer import comparing
-from orograph.viewer.brushing import opened
+from orograph.viewer.brushing import Brush, opened
 from orograph.viewer.data import Found, ShownData
-from orograph.viewer.panels import plot
 from orograph.viewer.panels.plot import told
 from orograph.viewer.typed_place import place_of
 
@@ -24,18 +31,27 @@ FIRST, SECOND = (40.0, 100.0), (200.0, 100.0)
 """Columns and rows of two places of the test terrain."""
 
 
-def give(window, data):
-    """Data to a window that is open, as it was opened with them."""
-    settings = window.session.settings
-    settings.shown = ShownData((data,), Priority.parse("T+D+U+"), window.session.terrain.grid)
-    settings.show(window.session.terrain)
-    window.touch()
+TEXELS = 256
 
 
-def members(window, together):
+@pytest.fixture(scope="module")
+def terrain():
+    """A plain at 500 m."""
+    grid = Grid((129, 257), Affine(30, 0, 412_000, 0, -30, 4_987_000), CRS.from_epsg(32633))
+    return in_memory(Dem(np.full(grid.shape, 500, np.float32), grid))
+
+
+def painted(data, terrain):
+    """Data as a window holds them that was opened with them, on a coarse image."""
+    made = ShownData((data,), Priority.parse("T+D+U-"), terrain.grid)
+    made.painted = tuple(shown(one, terrain.grid, TEXELS, made.priority) for one in made.current(terrain))
+    return made
+
+
+def members(terrain, together):
     """Five members over the terrain that grow to the east by a little more than 3 in all; what makes them differ is
     common to all places, or not."""
-    rows, cols = window.session.terrain.grid.shape
+    rows, cols = terrain.grid.shape
     ramp = np.linspace(0, 3, cols)
     common = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
     own = np.array([0.2, -0.1, 0.0, 0.1, -0.2])
@@ -46,21 +62,20 @@ def members(window, together):
     return Dataset(values, name="warmth", unit="K", uncertainty="spread"), values
 
 
-def points_of(window):
-    grid = window.session.terrain.grid
+def points_of(terrain):
+    grid = terrain.grid
     return [(*(float(v) for v in grid.xy(*place)), 500.0) for place in (FIRST, SECOND)]
 
 
 @pytest.mark.parametrize("together", [True, False])
-def test_members_are_compared_one_by_one(window, together):
-    data, values = members(window, together)
-    give(window, data)
-    shown, grid, at = window.session.settings.shown, window.session.terrain.grid, points_of(window)
+def test_members_are_compared_one_by_one(terrain, together):
+    data, values = members(terrain, together)
+    held, grid, at = painted(data, terrain), terrain.grid, points_of(terrain)
     a, b = (values[:, round(row), round(col)] for col, row in (FIRST, SECOND))
-    said = dict(comparing.rows(shown, grid, at))
-    (one,) = shown.at(*at[1][:2])
-    (other,) = shown.at(*at[0][:2])
-    found = comparing.difference(shown, grid, at, other, one)
+    said = dict(comparing.rows(held, grid, at))
+    (one,) = held.at(*at[1][:2])
+    (other,) = held.at(*at[0][:2])
+    found = comparing.difference(held, grid, at, other, one)
     assert found.value == pytest.approx((b - a).mean(), abs=1e-4)
     assert found.sigma == pytest.approx((b - a).std(ddof=1), rel=1e-4)
     assert (found.agreeing, found.members) == (((b - a) > 0).sum(), 5)
@@ -69,44 +84,46 @@ def test_members_are_compared_one_by_one(window, together):
     assert said["difference"] == Found("", found.value, found.sigma, "K").value_words + " higher here"
     more = "more" if together else "less"  # as the spreads at the two places alone do not tell
     assert said[""] == f"{more} than its uncertainty, so in {found.agreeing} of 5"
-    assert [name for name, _ in comparing.rows(shown, grid, at[:1])] == ["warmth"]
+    assert [name for name, _ in comparing.rows(held, grid, at[:1])] == ["warmth"]
 
 
-def test_errors_that_are_given_are_independent(window):
-    rows, cols = window.session.terrain.grid.shape
+def test_errors_that_are_given_are_independent(terrain):
+    rows, cols = terrain.grid.shape
     values = np.broadcast_to(np.linspace(0, 3, cols), (rows, cols)).astype(np.float32).copy()
-    give(window, Dataset(values, name="rain", uncertainty=np.full_like(values, 0.6)))
-    shown, grid, at = window.session.settings.shown, window.session.terrain.grid, points_of(window)
-    (first,), (second,) = (shown.at(*point[:2]) for point in at)
-    found = comparing.difference(shown, grid, at, first, second)
+    held = painted(Dataset(values, name="rain", uncertainty=np.full_like(values, 0.6)), terrain)
+    grid, at = terrain.grid, points_of(terrain)
+    (first,), (second,) = (held.at(*point[:2]) for point in at)
+    found = comparing.difference(held, grid, at, first, second)
     assert found.sigma == pytest.approx(0.6 * math.sqrt(2), rel=1e-5) and found.members == 0
     assert found.words[1] == "more than its uncertainty"
     assert comparing.Difference("rain", "mm", 0.0).words == ["none (0 mm)"]
 
 
-def test_picks_tell_data_and_follow_the_time(window, hand):
-    data, _ = members(window, True)
-    give(window, data)
+@pytest.mark.stress
+def test_picks_tell_data_and_follow_what_is_shown(window, hand):
+    here = window.session.terrain
+    rows, cols = here.grid.shape
+    ramp = np.broadcast_to(np.linspace(0, 3, cols), (rows, cols)).astype(np.float32).copy()
+    window.session.settings.shown = held = painted(Dataset(ramp, name="warmth", unit="K"), here)
     tools = window.tools
     tools.active, tools.kind = True, "pick"
-    for point in points_of(window):
+    for point in points_of(here):
         tools.points.append(point)
         tools.measure()
     hand.until(lambda: tools.result is not None)
-    assert [name for name, _ in tools.data_rows()] == ["warmth", "at the first place", "difference", ""]
+    assert [name for name, _ in tools.data_rows()] == ["warmth", "at the first place", "difference"]
     before = tools.data_rows()[0]
-    give(window, data.but(source=np.asarray(data.source) + 1))
+    held.painted = painted(Dataset(ramp + 1, name="warmth", unit="K"), here).painted
     assert tools.data_rows()[0] != before
-    hand.frames(2)  # the panel
     tools.add("53.35 N 6.26 W")
-    assert len(tools.points) == 2 and any("north" in m.text or "km" in m.text for m in window.session.messages.shown)
+    assert len(tools.points) == 2 and any("km" in message.text for message in window.session.messages.shown)
+    x, y = points_of(here)[0][:2]
+    tools.add(f"{x} {y}")  # a third place: one begins anew
+    assert tools.points == [pytest.approx((x, y, 500.0), abs=0.1)]
 
 
-def test_a_typed_place(window):
-    terrain = window.session.terrain
+def test_a_typed_place(terrain):
     x, y = (float(v) for v in terrain.grid.xy(*FIRST))
-    from orograph.measuring import Places
-
     ((lon, lat),) = Places(terrain).lonlat(np.array([[x, y]]))
     degrees = [f"{lat:.7f}° N  {lon:.7f}° E", f"{lat:.7f} n, {lon:.7f} e", f"{lon:.7f}E {lat:.7f}N"]
     metres = [f"{x} {y}", f"{x},{y}", f"E {x:,.1f}   N {y:,.1f}".replace(",", " ")]
@@ -115,9 +132,6 @@ def test_a_typed_place(window):
     for text in ("", "Dublin", "1 2 3", "53 N 6 N", "0 0"):
         with pytest.raises(UsageError):
             place_of(text, terrain)
-    window.tools.active, window.tools.kind = True, "pick"
-    window.tools.add(f"{x} {y}")
-    assert window.tools.points == [pytest.approx((x, y, 500.0), abs=0.1)]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +147,7 @@ def test_a_value_has_as_many_digits_as_its_uncertainty(value, sigma, unit, said)
     assert Found("", value, sigma, unit).value_words == said
 
 
-def test_a_range_that_reaches_the_end_of_a_plot_is_open(window):
+def test_a_range_that_reaches_the_end_of_a_plot_is_open(terrain):
     assert opened((0.9, 0.9355), (0.48, 0.9355)) == (0.9, math.inf)
     assert opened((np.float32(0.9), np.float32(0.93548387)), (0.48, 0.93548387)) == (pytest.approx(0.9), math.inf)
     assert opened((0.0, 0.6), (0.48, 0.9355)) == (-math.inf, 0.6)
@@ -142,28 +156,22 @@ def test_a_range_that_reaches_the_end_of_a_plot_is_open(window):
         "0.9 m or more", "2 m or less", "2 to 3.5 m", "any",
     ]  # fmt: skip
     # A peak between the plot's places is selected with all that is high.
-    rows, cols = window.session.terrain.grid.shape
-    values = np.zeros((rows, cols), np.float32)
+    values = np.zeros(terrain.grid.shape, np.float32)
     values[:, :128], values[71, 71] = 1.0, 5.0
-    give(window, Dataset(values, name="load", unit="t"))
-    terrain, shown = window.session.terrain, window.session.settings.shown
-    ends = float(np.nanmin(window.brush.ground(terrain, shown).values["load"])), 1.0
-    plot.select(window, ranges={"load": opened((0.5, 1.0), ends)})
-    x, y = terrain.grid.xy(np.array([71.0]), np.array([71.0]))
-    veil = window.session.settings.veil
-    import rasterio
-
-    with rasterio.open(veil.path) as file:
-        row, col = file.index(x[0], y[0])
-        assert file.read(4)[row, col] == 0
-    assert window.brush.units(terrain, shown) == {"Height": "m", "load": "t", "± load": "t"}
+    held, brush = painted(Dataset(values, name="load", unit="t"), terrain), Brush()
+    plotted = brush.ground(terrain, held).values["load"]
+    brush.choose({"load": opened((0.5, 1.0), (float(np.nanmin(plotted)), 1.0))})
+    brush.apply(terrain, held)
+    with rasterio.open(brush.veil.path) as file:
+        row, col = file.index(*terrain.grid.xy(71, 71))
+        assert file.read(4)[row, col] == 0 and file.read(4).max() > 0
+    assert brush.units(terrain, held) == {"Height": "m", "load": "t", "± load": "t"}
 
 
-def test_a_limit_has_the_unit_of_the_data(window):
-    data, _ = members(window, True)
-    give(window, data)
-    shown = window.session.settings.shown
-    assert shown.exceeding.unit == "K"
-    shown.exceeds = 1.0
-    window.session.settings.show(window.session.terrain)
-    assert shown.exceeding.unit == "" and shown.exceeding.field.limit_unit == "K"
+def test_a_limit_has_the_unit_of_the_data(terrain):
+    data, _ = members(terrain, True)
+    held = painted(data, terrain)
+    assert held.exceeding.unit == "K"
+    held.exceeds = 1.0
+    held.painted = tuple(shown(one, terrain.grid, TEXELS, held.priority) for one in held.current(terrain))
+    assert held.exceeding.unit == "" and held.exceeding.field.limit_unit == "K"
