@@ -269,11 +269,11 @@ def with_inlets(heights: NDArray[np.float32], water: NDArray[np.bool_]) -> NDArr
             balance += (beside > 0).astype(np.int8) - (beside < 0).astype(np.int8)
     may = (heights == 0) & (balance >= 0)
     for _ in range(INLET):
-        grown = sea | (_spread(sea) & may)
+        grown: NDArray[np.bool_] = sea | (_spread(sea) & may)
         if (grown == sea).all():
             break
         sea = grown
-    return water | sea
+    return np.asarray(water | sea)
 
 
 def _spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -291,7 +291,7 @@ def _spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 def still(heights: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Samples at height 0 that no neighbour is lower than by more than ``DIP``: the ground touches that height there
     and does not cross it, so that a contour would be no more than the outline of samples."""
-    return (heights == 0) & ~_spread(np.asarray(heights < -DIP))
+    return np.asarray((heights == 0) & ~_spread(np.asarray(heights < -DIP)))
 
 
 class Means(Protocol):
