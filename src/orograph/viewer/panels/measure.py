@@ -109,6 +109,7 @@ def _typed(tools: Tools) -> None:
     if entered and text.strip():
         tools.window.texts["place"] = ""
         tools.add(text)
+        imgui.set_keyboard_focus_here(-1)  # for another place
 
 
 def _heights(tools: Tools) -> None:
