@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 
 import numpy as np
@@ -13,6 +14,7 @@ from pyproj import CRS
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("rendercanvas")
 
+from orograph import measuring
 from orograph.dem.raster import Dem
 from orograph.errors import UsageError
 from orograph.geo.grid import Grid
@@ -25,6 +27,7 @@ from orograph.viewer import comparing
 from orograph.viewer.brushing import Brush, opened
 from orograph.viewer.data import Found, ShownData
 from orograph.viewer.panels.plot import told
+from orograph.viewer.results import save
 from orograph.viewer.typed_place import place_of
 
 FIRST, SECOND = (40.0, 100.0), (200.0, 100.0)
@@ -87,7 +90,7 @@ def test_members_are_compared_one_by_one(terrain, together):
     assert [name for name, _ in comparing.rows(held, grid, at[:1])] == ["warmth"]
 
 
-def test_errors_that_are_given_are_independent(terrain):
+def test_errors_that_are_given_are_independent(terrain, tmp_path):
     rows, cols = terrain.grid.shape
     values = np.broadcast_to(np.linspace(0, 3, cols), (rows, cols)).astype(np.float32).copy()
     held = painted(Dataset(values, name="rain", uncertainty=np.full_like(values, 0.6)), terrain)
@@ -96,6 +99,10 @@ def test_errors_that_are_given_are_independent(terrain):
     found = comparing.difference(held, grid, at, first, second)
     assert found.sigma == pytest.approx(0.6 * math.sqrt(2), rel=1e-5) and found.members == 0
     assert found.words[1] == "more than its uncertainty"
+    path = save("pick", measuring.place(terrain, at[1][:2]), at, terrain, tmp_path / "a", (second,))
+    assert json.loads(path.read_text())["data"] == [
+        {"name": "rain", "value": second.value, "uncertainty": pytest.approx(0.6), "unit": ""}
+    ]
     assert comparing.Difference("rain", "mm", 0.0).words == ["none (0 mm)"]
 
 

@@ -154,7 +154,7 @@ class Tools:
         shown = session.settings.shown
         if self.kind != "pick" or shown is None:
             return []
-        key = "picked data", *(id(one) for one in shown.painted), *self.points
+        key = "picked data", shown.painted, *self.points
         found: list[tuple[str, str]] = self.window.cached(
             key, lambda: comparing.rows(shown, session.terrain.grid, self.points)
         )
@@ -274,7 +274,9 @@ class Tools:
         stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
         stem = f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
         try:
-            path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem)
+            shown, (*_, (x, y, _)) = session.settings.shown, self.points
+            found = () if shown is None or self.kind != "pick" else shown.at(x, y)
+            path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem, found)
         except (OrographError, OSError) as error:
             session.messages.say(f"The result was not saved: {error}", error=True)
         else:
