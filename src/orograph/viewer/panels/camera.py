@@ -52,6 +52,7 @@ def draw(window: Window) -> None:
     imgui.same_line()
     if imgui.small_button("Measure"):
         window.tools.toggle()
+        window.touch()
     tip("Heights, data, lengths, areas and what is seen, by clicks on the ground (key M).")
     imgui.text_disabled("kept views (Ctrl + digit to keep)")
     for slot in "123456789":
