@@ -7,7 +7,7 @@ import pytest
 import rasterio
 from scipy import ndimage
 
-from orograph.geovis.water import LEAST_SAMPLES, find_water, judge, shore, water_in
+from orograph.geovis.water import LEAST_SAMPLES, find_water, judge, shore, still, water_in
 
 
 def level_areas(heights):
@@ -30,7 +30,7 @@ def slope(rows=90, cols=120, rise=0.7):
 def test_water_is_whole_level_areas(seed):
     rng = np.random.default_rng(seed)
     smooth = ndimage.gaussian_filter(rng.normal(size=(120, 150)), 6)
-    heights = (np.round(smooth / smooth.std() * 1.5) * 7.3).astype(np.float32)  # terraces
+    heights = (np.round(smooth / smooth.std() * 1.5) * 7.3 + 1.9).astype(np.float32)  # terraces, none at the sea's 0
     heights[rng.random(heights.shape) < 0.002] = np.nan
     heights[80:, 100:] = -30.5
     found = find_water(heights.copy())
@@ -235,3 +235,69 @@ def test_the_smoothed_shore_stays_within_a_sample_of_a_circle():
         assert np.abs(np.diff(found)).max() < 0.5 * np.abs(np.diff(steps)).max()
     level = np.ones((5, 7), bool)
     np.testing.assert_array_equal(shore(level), 1.0)
+
+
+def coast(seed=3, shape=(140, 160), level=0.0):
+    """A made coast with firths one to three samples wide, bays that the raster cuts off, and a lagoon; and its sea."""
+    rng = np.random.default_rng(seed)
+    rough = ndimage.gaussian_filter(rng.normal(size=shape), 8)
+    heights = 3 + 60 * np.abs(rough / rough.std())
+    sea = np.zeros(shape, bool)
+    sea[:, :50] = True
+    sea[:14, 120:] = True  # a bay in the corner: 13 × 39 level samples of a sea that goes on
+    sea[60:63, 50:64] = sea[61, 64:66] = True  # a firth that narrows
+    sea[100:102, 40:60] = sea[101:103, 59:64] = True
+    sea[np.arange(20, 30), np.arange(50, 60)] = True  # one sample wide, along the diagonal
+    return (np.where(sea, 0.0, heights) + level).astype(np.float32), sea
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_sea_reaches_into_firths_and_beyond_the_raster(seed):
+    heights, sea = coast(seed)
+    np.testing.assert_array_equal(find_water(heights, 2000.0), sea)
+    corner = np.add.outer(np.arange(60.0), np.arange(160.0, 0, -1)).astype(np.float32)
+    corner[:9, 145:] = 0.0
+    bay = (slice(0, 9), slice(145, 160))  # its 8 × 14 level samples alone would be too few, but two borders cut it off
+    assert LEAST_SAMPLES > 8 * 14 and find_water(corner, 2000.0)[bay].all()
+    inland = corner.copy()
+    inland[:9, 145:], inland[20:29, 20:35] = 30.5, 0.0  # as large, and not at a border: it may be anything
+    assert not find_water(inland, 2000.0).any()
+    lifted, _ = coast(
+        seed, level=3.25
+    )  # lakes have no tides: an arm one sample wide is no water where 0 is not the sea
+    assert not find_water(lifted, 2000.0)[25, 55]
+
+
+def test_inlets_end_on_steps_of_plains_and_after_some_samples():
+    heights, _ = coast()
+    heights[118, 50:110] = 0.0  # a canal: too long to be told from a level road
+    heights[120:, 50:] = -1.5 - heights[120:, 50:] / 10  # land below the sea, with a step at its height
+    heights[121, 50:54] = 0.0
+    found = find_water(heights, 2000.0)
+    assert found[118, 50:64].all() and not found[118, 68:].any()
+    assert not found[120:, 51:].any()
+
+
+def test_inlets_do_not_depend_on_the_window():
+    heights, sea = coast()
+    terrain = Pyramid(heights, 3)
+    for rows, cols in (
+        (slice(50, 80), slice(52, 90)),
+        (slice(95, 110), slice(58, 80)),
+        (slice(0, 30), slice(110, 160)),
+    ):
+        found = water_in(terrain, 2000.0, 0, rows.start, cols.start, heights[rows, cols].copy())
+        np.testing.assert_array_equal(found, sea[rows, cols])
+
+
+def test_no_line_of_height_0_is_wanted_around_still_ground():
+    heights, sea = coast()
+    heights[125:127, 100:103] = 0.0  # a pond of six samples, far from the sea
+    heights[127, 101] = -0.2  # (with a dip that is none)
+    heights[90:93, 100:103] = -2.0  # a hollow, whose line of 0 is a contour
+    field, plain = shore(sea, still(heights)), shore(sea)
+    assert (field[124:128, 99:104] > 0.2).all() and (field[124:128, 99:104] < 0.46).all()
+    assert (field[88:95, 98:105] == plain[88:95, 98:105]).all()
+    np.testing.assert_array_equal(field > 0.46, plain > 0.46)  # the shore stays
+    beside = ndimage.binary_dilation(sea, np.ones((3, 3)))
+    np.testing.assert_array_equal(field[beside], plain[beside])

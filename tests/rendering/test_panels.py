@@ -35,13 +35,14 @@ def test_each_panel_is_its_own_picture(ground, data):
     sheet = orograph.render(ground, view, data=data, each="member=2-5", progress=False)
     boxes = _boxes(4, (400, 300), (0, 0, 0, 0), *_type())
     wide, tall = boxes[0][2], boxes[0][3] - _type()[0]
-    span = panels_of((data,), "member=2-5", ground)[0].data[0].range
+    first = panels_of((data,), "member=2-5", ground)[0].data[0]
+    span = first.range
     values = data.source[1:]
     assert span == pytest.approx((values.min(), values.max()), abs=0.05 * float(np.ptp(values)))
     for k, (x, y, _, _) in enumerate(boxes):
         alone = orograph.render(
             ground, view.resized(wide, tall), progress=False,
-            data=data.but(member=str(k + 2), range=span, breaks="equal"),
+            data=data.but(member=str(k + 2), range=span, breaks=first.breaks),
         )  # fmt: skip
         top = y + _type()[0]
         np.testing.assert_array_equal(sheet.pixels[top : top + tall, x : x + wide], alone.pixels)

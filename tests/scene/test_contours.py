@@ -272,3 +272,27 @@ def test_of_lines_that_run_together_nothing_is_left_on_ledges() -> None:
     view = View((x, y, 9000.0), (x, y, 0.0), projection="plan", fov_y=20, width=220, height=220)
     ink = cover(plain(terrain, view, Contours(2 * view.pixel_metres * 0.7, 0)))
     assert ink.max() < 0.05 and ink.mean() < 1e-4
+
+
+def test_ground_at_the_height_of_the_sea_has_no_outline() -> None:
+    """A firth a sample or two wide, and a pond of a few samples, both at exactly 0 m: where water is drawn there is no
+    line of 0 m around them and no label; a hollow below 0 m has its line."""
+    row, col = np.mgrid[:120, :140].astype(np.float64)
+    heights = 12.0 + 0.9 * np.abs(col - 60) + 0.3 * row
+    heights[:, :45] = 0.0
+    heights[30, 45:80] = heights[31, 60:70] = 0.0
+    heights[60:62, 90:93] = 0.0
+    heights[90:96, 90:96] = -8.0
+    terrain = make(heights)
+    x, y = (float(v) for v in terrain.grid.xy(70, 60))
+    view = View((x, y, 5000.0), (x, y, 0.0), up=(0, 1, 0), projection="plan", fov_y=13.5, width=420, height=360)
+    scene = plain(terrain, view, Contours(1000.0, 1)).but(water="auto")
+    ink = cover(scene)
+    picture = draw(scene)
+    pixel_row, pixel_col = np.mgrid[:360, :420]
+    at_col, at_row = terrain.grid.index(*picture.grid.xy(pixel_col.ravel(), pixel_row.ravel()))
+    at_col, at_row = at_col.reshape(ink.shape), at_row.reshape(ink.shape)
+    assert ink[at_row < 80].max() < 0.05
+    hollow = (abs(at_row - 92.5) < 5) & (abs(at_col - 92.5) < 5)
+    assert ink[hollow].max() > 0.8
+    assert picture.facts["shader"]["contours"]["labels"] == 0

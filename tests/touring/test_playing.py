@@ -14,6 +14,10 @@ from hypothesis import strategies as st
 import orograph
 from orograph.errors import ReadError, UsageError
 from orograph.geovis.data.dataset import Dataset, Uncertainty
+from orograph.geovis.data.derived import read_data
+from orograph.geovis.data.painting import image_grid
+from orograph.geovis.data.sampling import Positions
+from orograph.geovis.data.scales import class_breaks
 from orograph.geovis.data.times import matches, seconds_of, span_within, written
 from orograph.rendering.backends import session
 from orograph.touring import make
@@ -80,10 +84,39 @@ def test_a_frame_is_the_picture_of_its_moment(ground):
     moment = written(seconds_of(["2020-01-01T00:00"], "", "")[0] + second)
     alone = orograph.render(
         ground, scene.view, progress=False, relief=scene.lighting.relief,
-        data=Dataset(series(1), time=moment, name="T", style="segmented", range=shown.range, breaks="equal"),
+        data=Dataset(series(1), time=moment, name="T", style="segmented", range=shown.range, breaks=shown.breaks),
     )  # fmt: skip
     np.testing.assert_array_equal(film.picture(5).pixels, alone.pixels)
     assert (film.picture(5).pixels != film.picture(12).pixels).any()
+
+
+@pytest.mark.parametrize(
+    ("breaks", "given"), [("quantiles", None), ("quantiles", (0.0, 30.0)), ("jenks", None), ("equal", None)]
+)
+def test_a_film_has_one_set_of_breaks(ground, breaks, given):
+    """Found among the values of all its moments, as if they were one picture."""
+    source = series(1)
+    source = source.copy(data=source.values + 10 * np.arange(len(source))[:, None, None, None] ** 2)  # it grows warmer
+    data = Dataset(source, time="..", name="T", style="segmented", classes=4, breaks=breaks, range=given)
+    film = film_of(ground, data)
+    scales = {(shown.range, shown.breaks) for k in (0, 19) for shown in film.scene(k).theme.data}
+    ((span, found),) = scales
+    over = image_grid(ground.grid, 512)
+    every = []
+    for second in np.linspace(0, 1, 20):  # (fewer frames than are looked at: all)
+        moment = written(seconds_of(["2020-01-01T00:00"], "", "")[0] + 24 * 3600 * second)
+        field = read_data(Dataset(source, time=moment), ground.grid)
+        every.append(Positions.of(over, field).values(field.shown).ravel())
+    pooled = np.concatenate(every)
+    pooled = pooled[np.isfinite(pooled)]
+    assert span == given or span == pytest.approx((pooled.min(), pooled.max()), abs=1e-3)
+    if breaks == "equal":
+        assert found == "equal"
+        return
+    inside = pooled[(pooled >= span[0]) & (pooled <= span[1])]
+    assert found == pytest.approx((span[0], *class_breaks(inside, 4, breaks, *span), span[1]), abs=0.02)
+    first = every[0][np.isfinite(every[0])]
+    assert found[1:-1] != pytest.approx(class_breaks(first, 4, breaks, *span), abs=2)  # (alone, it has others)
 
 
 def test_classes_are_those_of_the_nearer_time(ground):

@@ -156,3 +156,24 @@ def test_a_stretched_terrain_looks_as_the_terrain_does_stretched(window):
 def test_what_is_no_selection_is_refused(wrong):
     with pytest.raises(UsageError):
         Brush().choose(**wrong)
+
+
+@pytest.mark.stress
+def test_what_the_best_view_hides_is_told_and_marked(window, hand):
+    """Around the hill: what is hidden lies behind its top, as seen from the camera, and only while that is there."""
+    x, y = (float(v) for v in window.session.terrain.grid.xy(128.0, 50.0))
+    half = 1200.0
+    plot.select(window, area=[(x - half, y - half), (x + half, y - half), (x + half, y + half), (x - half, y + half)])
+    assert "of the ground within the measured area" in window.brush.describe(window.session.terrain, None)
+    window.finder.find()
+    hand.until(lambda: any("Dots on the plan" in one.text for one in window.session.messages.shown))
+    hand.frames(2)
+    hand.still()
+    finder, eye = window.finder, window.session.view.eye
+    assert finder.at_best and 0 < len(finder.hidden) < 0.5 * finder.looked_for
+    behind = (finder.hidden - [x, y]) @ (np.array(eye[:2]) - [x, y])
+    assert (behind < 0).all()
+    window.session.nav.jump(window.session.view.resized(640, 480))
+    hand.key("t")
+    hand.still()
+    assert not finder.at_best

@@ -187,7 +187,7 @@ def test_an_area_is_saved_as_what_measure_takes(window, hand, dem, tmp_path, mon
     line = tools._line()
     assert len(line) > 100 and np.allclose(line[0], line[-1])  # draped over the ground, closed
     assert line[:, 2] == pytest.approx(PLAIN, abs=1.0)
-    tools._save()
+    tools.save()
     (path,) = tmp_path.glob("*.geojson")
     told = json.loads(path.read_text())
     assert told["properties"]["surface_m2"] == tools.result.surface

@@ -20,7 +20,7 @@ from imgui_bundle import imgui
 from pyproj import Transformer
 
 from orograph.geovis.data.dataset import Dataset
-from orograph.viewer.panels import data as panel
+from orograph.viewer.commands import change_data
 from orograph.viewer.panels import plot
 
 pytestmark = pytest.mark.stress
@@ -30,7 +30,7 @@ NAME = "2 metre temperature"
 SUMMIT, CITY = (-3.942352, 53.164637), (-6.26, 53.35)
 """Longitude and latitude: the highest sample of the terrain, and Dublin."""
 
-KINDS = ("checkbox", "button", "input_float", "input_float2", "combo")
+KINDS = ("checkbox", "button", "small_button", "input_float", "input_float2", "input_text_with_hint", "combo")
 
 
 class Truth:
@@ -106,19 +106,22 @@ class Analyst(Hand):
     def write(self, label: str, *numbers: float) -> None:
         """Type numbers into the fields of a label, and press Enter."""
         for k, number in enumerate(numbers):
-            x, y = self.at(label, (k + 0.3) / len(numbers))
-            self.click(x, y)
-            self.frames(2)
-            self.event("key_down", key="Control", modifiers=("Control",))
-            self.event("key_down", key="a", modifiers=("Control",))
-            self.event("key_up", key="a", modifiers=("Control",))
-            self.event("key_up", key="Control")
-            self.frames(2)
-            for letter in f"{number:g}":
-                self.event("char", data=letter)
-            self.frames(2)
-            self.key("Enter")
-            self.frames(4)
+            self.enter(label, f"{number:g}", (k + 0.3) / 2 if label.startswith("##range") else 0.3)
+
+    def enter(self, label: str, text: str, part: float = 0.3) -> None:
+        """Type a text into a field, and press Enter."""
+        self.click(*self.at(label, part))
+        self.frames(2)
+        self.event("key_down", key="Control", modifiers=("Control",))
+        self.event("key_down", key="a", modifiers=("Control",))
+        self.event("key_up", key="a", modifiers=("Control",))
+        self.event("key_up", key="Control")
+        self.frames(2)
+        for letter in text:
+            self.event("char", data=letter)
+        self.frames(2)
+        self.key("Enter")
+        self.frames(4)
 
     def painted(self) -> None:
         """Until what is chosen is shown."""
@@ -192,7 +195,7 @@ def analyst(opened: Analyst) -> Analyst:
     window.texts.clear()
     if shown.exceeds is not None or shown.time:
         shown.exceeds = None
-        panel.change(window, time="")
+        change_data(window, time="")
         opened.painted()
     return opened
 
@@ -203,7 +206,7 @@ def test_where_is_it_above_a_value_with_90_percent_certainty(analyst, truth):
     analyst.write("##above0", 7)
     analyst.panel("Plot")
     analyst.choose("##plot x", f"P({NAME} > 7 °C)")
-    analyst.write(f"##range P({NAME} > 7 °C)", 0.9, 1)
+    analyst.write(f"##range P({NAME} > 7 °C)", 0.9)
     part = truth.over((truth.noon > 7).mean(0))
     assert analyst.selected == pytest.approx((part >= 0.9).mean(), abs=0.01)
     analyst.panel("Data")
@@ -244,12 +247,30 @@ def test_when_is_it_warmest_at_a_place(analyst, truth):
 
 
 def test_is_one_place_warmer_than_another_beyond_doubt(analyst, truth):
-    analyst.panel("Data")
-    for place in (SUMMIT, CITY):
-        found = analyst.point(place)
+    """Typed places, and what picks tell of them: each, and their difference day by day."""
+    analyst.panel("Camera")
+    analyst.push("Measure")
+    tools = analyst.window.tools
+    analyst.until(lambda: tools.active)
+    tools.choose("pick")
+    for lon, lat in (SUMMIT, CITY):
+        analyst.enter("##place", f"{lat:.6f} N {-lon:.6f} W")
+    analyst.until(lambda: len(tools.points) == 2 and tools.result is not None)
+    said = dict(tools.data_rows())
+    days = []
+    for place, name in ((SUMMIT, "at the first place"), (CITY, NAME)):
         at = truth.place(place)
-        assert found.value == pytest.approx(float(truth.over(truth.noon.mean(0), *at)), abs=0.1)
-        assert found.sigma == pytest.approx(float(truth.over(truth.noon.std(0, ddof=1), *at)), abs=0.05)
+        days.append(np.array([float(truth.over(noon, *at)) for noon in truth.noon]))
+        value, sigma = (float(word) for word in re.match(r"([\d.]+) ± ([\d.]+) °C", said[name]).groups())
+        assert value == pytest.approx(days[-1].mean(), abs=0.15)
+        assert sigma == pytest.approx(float(truth.over(truth.noon.std(0, ddof=1), *at)), abs=0.1)
+    apart = days[1] - days[0]
+    value, sigma = (float(word) for word in re.match(r"([\d.]+) ± ([\d.]+) °C higher", said["difference"]).groups())
+    assert (value, sigma) == pytest.approx((apart.mean(), apart.std(ddof=1)), abs=0.02)
+    assert said[""] == f"less than its uncertainty, so in {(apart > 0).sum()} of 31"
+    found = analyst.point(CITY)
+    assert found.value == pytest.approx(days[1].mean(), abs=0.1)
+    tools.leave()
 
 
 def test_how_much_of_the_high_ground_is_cold(analyst, truth):

@@ -16,6 +16,7 @@ from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.priority import Priority
 from orograph.rendering.standing import stand
 from orograph.viewer import overlay
+from orograph.viewer.commands import change_data, step_data
 from orograph.viewer.data import ShownData
 from orograph.viewer.panels import data as panel
 from orograph.viewer.panels import plot
@@ -105,7 +106,7 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert "warmth" in found.words and "±" in found.words
     shown = window.session.settings.shown
     old = shown.painted[0]
-    panel.change(window, priority=Priority.parse("T-D-U+"))  # a thread paints it, coarsely and finely; frames take that
+    change_data(window, priority=Priority.parse("T-D-U+"))  # a thread paints it, coarsely and finely; frames take that
     assert shown.painted[0] is old
     hand.until(lambda: shown.painted[0] is not old, 300)
     coarse = shown.painted[0]
@@ -114,7 +115,7 @@ def test_switches_change_the_picture_and_the_pointer_finds_values(window, hand):
     assert max(shown.painted[0].over.shape) > max(coarse.over.shape)
     hand.rest()
     assert np.abs(hand.frames(1).astype(int) - before).mean() > 3
-    panel.change(window, time="1999")
+    change_data(window, time="1999")
     assert any("no time" in message.text for message in window.session.messages.shown)
 
 
@@ -142,14 +143,14 @@ def test_time_goes_step_by_step_between_and_by_itself(window, hand):
         painted(window)
         return shown.at(x, y)[0].value
 
-    panel.step(window, 1)
+    step_data(window, 1)
     assert shown.time == "2020-01-01T00:00" and value() == pytest.approx(0)
-    panel.step(window, 1)
+    step_data(window, 1)
     assert shown.time == "2020-01-01T12:00" and value() == pytest.approx(10)
-    panel.step(window, -1)
-    panel.step(window, -1)  # there is none before
+    step_data(window, -1)
+    step_data(window, -1)  # there is none before
     assert shown.time == "2020-01-01T00:00"
-    panel.change(window, time=shown.at_part(0.25))
+    change_data(window, time=shown.at_part(0.25))
     assert value() == pytest.approx(5) and "linear between" in shown.time_text
     shown.playing = True
     assert panel.advance(window, panel.PLAYED)

@@ -5,7 +5,8 @@ ragged ones, as often above their surroundings as below. So a level area is wate
 inside, and its surroundings are banks; and away from the sea, if its level is a whole number of metres (which is where
 plains are level), its banks must soon rise by more than the metre that rounding makes. Ground that was clipped at a
 round height is the lowest of its raster; in a model of a city houses stand in it, with walls for banks. Dry lake beds
-and salt pans that lie beneath steep slopes are still taken for lakes. Resampling and averaging keep constant areas
+and salt pans that lie beneath steep slopes are still taken for lakes. The sea, at height 0, goes on beyond the borders
+of the raster, and into inlets too narrow to be level all around. Resampling and averaging keep constant areas
 exactly constant, so equality is the test. Heights are metres; sizes are in samples, for what cannot be seen cannot be
 told apart either.
 
@@ -42,6 +43,18 @@ ROUND, HOUSES, WALL, WALLED = 10.0, 3, 0.5, 0.5
 """The lowest level, if it is a multiple of ``ROUND`` metres, is clipped ground where more than ``HOUSES`` islands
 stand in its areas and at least ``WALLED`` of what adjoins them is higher by more than ``WALL`` of a step, as
 natural shores are not."""
+
+
+INLET = 16
+"""Samples that narrow inlets reach from where the sea is wide."""
+
+DIP = 0.5
+"""Metres: what heights in whole metres do not tell."""
+
+TOUCHED, MOST_TOUCHED = 3.0, 0.4
+"""Factor on the smoothed mask of still ground at height 0 (``still``), and the most that this adds to the field of
+water: less than any water has, and more than beside which the line of height 0 is left out
+(``rendering.lookup.BESIDE``)."""
 
 
 @kernel
@@ -135,7 +148,7 @@ def _flood(heights, level, inner, clipped, reach, cut, verdict, open_area):
         level[seed // cols, seed % cols] = False
         stack[0] = seed
         size, read, deep, higher, lower = 1, 0, 0, 0, 0
-        is_open = False
+        is_open = north = south = west = east = False
         while read < size:  # what was pushed stays: it is the area
             at = stack[read]
             read += 1
@@ -143,6 +156,10 @@ def _flood(heights, level, inner, clipped, reach, cut, verdict, open_area):
             is_open |= (
                 (cut[0] and r == 0) or (cut[1] and r == rows - 1) or (cut[2] and c == 0) or (cut[3] and c == cols - 1)
             )
+            north |= r == 0
+            south |= r == rows - 1
+            west |= c == 0
+            east |= c == cols - 1
             deep += inner[r, c]
             if not inner[r, c]:  # near the shore: what lies behind it?
                 for i in range(max(r - 2, 0), min(r + 3, rows)):
@@ -159,8 +176,12 @@ def _flood(heights, level, inner, clipped, reach, cut, verdict, open_area):
             is_open and 8 * size >= LEAST_SAMPLES
         )  # less than that is out of sight, beyond the edge of the picture
         found = np.int8(0)
-        if size >= LEAST_SAMPLES and deep >= LEAST_INSIDE * size:
-            height = heights[seed // cols, seed % cols]
+        height = heights[seed // cols, seed % cols]
+        ends = (
+            int(north and not cut[0]) + int(south and not cut[1]) + int(west and not cut[2]) + int(east and not cut[3])
+        )
+        likely = size << ends if height == 0.0 else size  # the sea goes on beyond the raster: mirrored at its borders
+        if likely >= LEAST_SAMPLES and deep >= LEAST_INSIDE * size:
             plain = height != 0.0 and height == np.round(height)
             rising = RISING if size >= SMALL else RISING_SMALL
             wet = higher >= BANKS * lower and not (plain and _rises(heights, inner, stack[:size], reach) < rising)
@@ -230,7 +251,47 @@ def find_water(heights: NDArray[np.float32], spacing: float = 100.0) -> NDArray[
     """
     known = heights[np.isfinite(heights)]
     lowest = float(known.min()) if known.size else np.nan
-    return judge(heights, spacing, (False, False, False, False), lowest)[0] > 0
+    return with_inlets(heights, judge(heights, spacing, (False, False, False, False), lowest)[0] > 0)
+
+
+def with_inlets(heights: NDArray[np.float32], water: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Water with the samples at height 0 that are joined to the sea in at most ``INLET`` steps over such samples; not
+    those on a step of a plain, with more lower neighbours than higher ones."""
+    sea = water & (heights == 0)
+    if not sea.any():
+        return water
+    around = np.pad(heights, 1, mode="edge")
+    rows, cols = heights.shape
+    balance = np.zeros(heights.shape, np.int8)
+    for i in range(3):
+        for j in range(3):
+            beside = around[i : i + rows, j : j + cols]
+            balance += (beside > 0).astype(np.int8) - (beside < 0).astype(np.int8)
+    may = (heights == 0) & (balance >= 0)
+    for _ in range(INLET):
+        grown: NDArray[np.bool_] = sea | (_spread(sea) & may)
+        if (grown == sea).all():
+            break
+        sea = grown
+    return np.asarray(water | sea)
+
+
+def _spread(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask and its eight neighbours."""
+    for axis in (0, 1):
+        a, b = [slice(None)] * 2, [slice(None)] * 2
+        a[axis], b[axis] = slice(1, None), slice(None, -1)
+        wide = mask.copy()
+        wide[tuple(a)] |= mask[tuple(b)]
+        wide[tuple(b)] |= mask[tuple(a)]
+        mask = wide
+    return mask
+
+
+def still(heights: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Samples at height 0 that no neighbour is lower than by more than ``DIP``: the ground touches that height there
+    and does not cross it, so that a contour would be no more than the outline of samples."""
+    return np.asarray((heights == 0) & ~_spread(np.asarray(heights < -DIP)))
 
 
 class Means(Protocol):
@@ -256,7 +317,15 @@ def water_in(
         spacing: metres between the terrain's samples.
         heights: (rows, cols) of the window, whose first sample is (row0, col0).
     """
-    return _verdicts(terrain, spacing, level, row0, col0, heights) > 0
+    rows, cols = heights.shape
+    if not (heights == 0).any():
+        return _verdicts(terrain, spacing, level, row0, col0, heights) > 0
+    all_rows, all_cols = terrain.mean_shape(level)  # inlets may be joined to the sea beyond the window
+    r0, r1 = max(row0 - INLET, 0), min(row0 + rows + INLET, all_rows)
+    c0, c1 = max(col0 - INLET, 0), min(col0 + cols + INLET, all_cols)
+    around = heights if (r1 - r0, c1 - c0) == heights.shape else terrain.read_mean(level, r0, r1, c0, c1)
+    found = with_inlets(around, _verdicts(terrain, spacing, level, r0, c0, around) > 0)
+    return found[row0 - r0 : row0 - r0 + rows, col0 - c0 : col0 - c0 + cols]
 
 
 def _verdicts(
@@ -286,11 +355,24 @@ def _verdicts(
     return np.where(open_area > 0, verdicts[open_area], verdict)
 
 
-def shore(water: NDArray[np.bool_]) -> NDArray[np.float32]:
+def shore(water: NDArray[np.bool_], quiet: NDArray[np.bool_] | None = None) -> NDArray[np.float32]:
     """A field (rows, cols) whose contour at 0.5, interpolated, is the shore with the steps of samples smoothed out.
 
-    It is the mask under the binomial filter 1 4 6 4 1 each way, the border repeated.
+    It is the mask under the binomial filter 1 4 6 4 1 each way, the border repeated. Away from water it is more than 0
+    (at most ``MOST_TOUCHED``) where no line of height 0 is wanted.
+
+    Args:
+        quiet: (rows, cols) such ground, as ``still`` has it.
     """
+    field = _smoothed(water)
+    if quiet is None:
+        return field
+    hushed = np.minimum(TOUCHED * _smoothed(quiet), MOST_TOUCHED)
+    return np.where(_spread(water), field, np.maximum(field, hushed)).astype(np.float32)
+
+
+def _smoothed(water: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """A mask under the binomial filter."""
     field = np.pad(water.astype(np.float32), 2, mode="edge")
     for axis in (0, 1):
         n = water.shape[axis]

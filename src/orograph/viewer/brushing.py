@@ -73,6 +73,11 @@ class Brush:
         """Whether nothing is selected, so that everything is shown."""
         return not self.ranges and not self.area
 
+    @property
+    def chosen(self) -> tuple[Any, ...]:
+        """What is selected, to be compared."""
+        return tuple(self.ranges.items()), self.area
+
     def choose(self, ranges: Mapping[str, Sequence[float]] | None = None, area: Sequence[Any] | None = None) -> None:
         """Change the selection.
 
@@ -199,16 +204,33 @@ class Brush:
         at = self.ground(terrain, shown)
         return np.stack([at.x, at.y], 1)[self.holds(at) & np.isfinite(at.values[HEIGHT])]
 
+    def units(self, terrain: Terrain, shown: ShownData | None) -> dict[str, str]:
+        """The unit of each variable that has one."""
+        units = {HEIGHT: "m"}
+        for one in () if shown is None else shown.painted:
+            units |= {one.title: one.unit, f"± {one.title}": one.unit}
+        for thing in () if shown is None or shown.things is None else shown.things.shows:
+            units[thing.name] = thing.unit
+        return units
+
     def describe(self, terrain: Terrain, shown: ShownData | None) -> str:
         """How much is selected, as text."""
         at, found = self.ground(terrain, shown), self.things(terrain, shown)
         known = np.isfinite(at.values[HEIGHT])
         part = float((self.holds(at) & known).sum() / max(known.sum(), 1))
-        words = f"{100 * part:.3g} % of the ground"
+        words = f"{100 * part:.3g} % of the ground" + (" within the measured area" if self.area else "")
         if found is not None and shown is not None and shown.things is not None:
             count = shown.things.shown >= 0
             words += f", {int((self.holds(found) & count).sum()):,} of {int(count.sum()):,} things"
         return words
+
+
+def opened(given: Range, ends: Range) -> Range:
+    """A range whose ends that reach those of a plot (or beyond) are open: a plot has only some of all places, and at
+    another time values differ."""
+    low, high = given
+    near = 1e-6 * max(ends[1] - ends[0], *(abs(end) for end in ends))  # (numbers are typed in single precision)
+    return -math.inf if low <= ends[0] + near else low, math.inf if high >= ends[1] - near else high
 
 
 def _key(terrain: Terrain, shown: ShownData | None) -> Any:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+from orograph.errors import OrographError
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -83,3 +85,27 @@ def escape(window: Window) -> None:
         window.tools.leave()
     else:
         window.session.nav.stop()
+
+
+def change_data(window: Window, **changes: Any) -> None:
+    """Show data with another priority or time; errors appear in the window."""
+    try:
+        window.session.settings.show(window.session.terrain, **changes, finer=window.refresh)
+    except (OrographError, OSError) as error:
+        window.session.messages.say(str(error))
+    window.touch()
+
+
+def step_data(window: Window, way: int) -> None:
+    """Show the data's next or previous time; for tracks alone, step by a fiftieth of all time."""
+    shown = window.session.settings.shown
+    if shown is None or shown.span is None:
+        return
+    if len(shown.times) < 2:
+        change_data(window, time=shown.at_part(min(max(shown.part + way / 50, 0.0), 1.0)))
+        return
+    after = [time for time in shown.times if time > shown.time]
+    before = [time for time in shown.times if time < shown.time]
+    following = after[:1] if way > 0 else before[-1:]
+    if following:
+        change_data(window, time=following[0])

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orograph.errors import ReadError, UsageError
-from orograph.geovis.data.dataset import Dataset
+from orograph.geovis.data.bivariate import classes_of
+from orograph.geovis.data.dataset import Breaks, Dataset
 from orograph.geovis.data.derived import read_data
 from orograph.geovis.data.events import events_span, is_eventful, trail_of
 from orograph.geovis.data.features import has_features
@@ -20,7 +21,7 @@ from orograph.geovis.data.listing import times_in
 from orograph.geovis.data.points import is_table
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.data.reading import read
-from orograph.geovis.data.scales import PERCENTILES, Shared
+from orograph.geovis.data.scales import PERCENTILES, Shared, shared_breaks
 from orograph.geovis.data.standing import stands
 from orograph.geovis.data.times import is_span, neighbours, seconds_of, span_within, written
 from orograph.geovis.data.tracks import span_of
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
     from orograph.store.terrain import Terrain
 
 LOOKED_AT = 12
-"""Number of times, evenly spread, whose values define the scale of a series."""
+"""Number of times, evenly spread, whose values define the scale of a series and its classes."""
 
 
 WHOLE_MINUTES = 7200.0
@@ -55,9 +56,19 @@ class Found:
 
     @property
     def words(self) -> str:
-        value = self.value if isinstance(self.value, str) else f"{self.value:.4g}"
-        doubt = "" if self.sigma is None else f" ± {self.sigma:.2g}"
-        return f"{self.name} {value}{doubt} {self.unit}".rstrip()
+        return f"{self.name} {self.value_words}"
+
+    @property
+    def value_words(self) -> str:
+        """The value in its unit, to the second digit of its standard deviation if that is known."""
+        if isinstance(self.value, str):
+            return self.value
+        if self.sigma is None or not 0 < self.sigma < math.inf:
+            said = f"{self.value:.4g}" + ("" if self.sigma is None else f" ± {self.sigma:g}")
+        else:
+            places = max(1 - math.floor(math.log10(float(f"{self.sigma:.1e}"))), 0)
+            said = f"{self.value:.{places}f} ± {self.sigma:.{places}f}"
+        return f"{said} {self.unit}".rstrip()
 
 
 class ShownData:
@@ -95,7 +106,7 @@ class ShownData:
         self._settled = self._chosen_now
         self.painted: tuple[Shown, ...] = ()
         self.things: Things | None = None
-        self._spans: dict[int, tuple[float, float]] = {}
+        self._spans: dict[int, tuple[tuple[float, float], Breaks | tuple[float, ...]]] = {}
 
     def _chosen(self) -> tuple[float, float] | None:
         """The span that the first data with one choose, else all."""
@@ -211,6 +222,14 @@ class ShownData:
                 return k
         return None
 
+    @property
+    def exceeding(self) -> Shown | None:
+        """The painted data of ``doubtful``; None: they are not painted yet."""
+        k = self.doubtful
+        asked = None if k is None else self.data[k]
+        return next((one for one in self.painted if asked is not None and one.dataset.source is asked.source
+                     and (one.dataset.variable, one.dataset.band) == (asked.variable, asked.band)), None)  # fmt: skip
+
     def _at_time(self, k: int, one: Dataset, terrain: Terrain) -> Dataset:
         if not self.time:
             return one
@@ -226,18 +245,13 @@ class ShownData:
         if bare.derived and len(read(bare.but(value=None, exceeds=None, uncertainty=None), terrain.grid).values) == 1:
             range_ = None if one.exceeds is not None else one.range
             bare = bare.but(value=None, exceeds=None, range=range_)  # of a single time: as it is
-        if bare.exceeds is not None:
-            return bare
-        if bare.range is not None or "+" in str(one.variable or one.band or ""):
+        given = bare.range is not None and (isinstance(bare.breaks, tuple) or bare.breaks == "equal")
+        if given or bare.exceeds is not None or "+" in str(one.variable or one.band or ""):
             return bare
         if k not in self._spans:
-            some = {times[round(i)] for i in np.linspace(0, len(times) - 1, LOOKED_AT)}
-            values = np.concatenate(
-                [read_data(bare.but(time=time, uncertainty=None), terrain.grid).shown.ravel() for time in sorted(some)]
-            )
-            low, high = (float(v) for v in np.nanpercentile(values, PERCENTILES))
-            self._spans[k] = Shared((low, high) if low < high else (low - 0.5, low + 0.5))
-        return bare.but(range=self._spans[k])
+            self._spans[k] = _of_all(bare, times, terrain.grid)
+        span, breaks = self._spans[k]
+        return bare.but(range=span, breaks=breaks)
 
     def at(self, x: float, y: float) -> tuple[Found, ...]:
         """Painted data at a place in the terrain's CRS, the uppermost first."""
@@ -267,6 +281,18 @@ class ShownData:
         value = float(self.things.values[number])
         doubt = float("nan") if self.things.sigma is None else float(self.things.sigma[number])
         return (Found(name, classes[int(value)] if classes else value, None if math.isnan(doubt) else doubt, unit),)
+
+
+def _of_all(bare: Dataset, times: list[str], grid: Grid) -> tuple[tuple[float, float], Breaks | tuple[float, ...]]:
+    """The ends of the scale of a series, and the breaks of its classes: of the values at ``LOOKED_AT`` of its times."""
+    some = sorted({times[round(i)] for i in np.linspace(0, len(times) - 1, LOOKED_AT)})
+    fields = [read_data(bare.but(time=time, uncertainty=None), grid).shown.ravel() for time in some]
+    values = np.concatenate(fields)
+    span = bare.range
+    if span is None:
+        low, high = (float(v) for v in np.nanpercentile(values, PERCENTILES))
+        span = Shared((low, high) if low < high else (low - 0.5, low + 0.5))
+    return span, shared_breaks(values, classes_of(bare), bare.breaks, span)
 
 
 def _clock(time: str) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,11 +22,14 @@ class Finder:
 
     Attributes:
         busy: whether a search is running.
+        hidden: (n, 2) the places of the selection that the ground hides in the last view found, of ``looked_for``.
     """
 
     def __init__(self, window: Window) -> None:
         self.window, self.busy = window, False
         self._found: View | None = None
+        self.hidden, self.looked_for = np.zeros((0, 2)), 0
+        self._here: tuple[View, Any] | None = None
 
     def find(self) -> None:
         """Look for the camera that shows most of the selection, and fly there."""
@@ -41,6 +45,7 @@ class Finder:
         self.busy = True
         session.messages.say("Looking for the best view of what is selected.")
         view, terrain, stretch = session.view, session.terrain, session.settings.exaggeration
+        chosen = window.brush.chosen
 
         def look() -> None:
             from orograph.touring.best_view import search
@@ -53,8 +58,11 @@ class Finder:
                     session.messages.say("No camera sees any of what is selected.")
                 elif session.terrain is terrain:
                     best = found[0]
+                    self.hidden, self.looked_for = places[np.array(best.geometries) < 0.5], len(places)
                     self._found = seen.back(best.view)
-                    session.messages.say(f"The best view shows {100 * best.visible:.0f} % of what is selected.")
+                    self._here = self._found, chosen
+                    more = " Dots on the plan mark what is hidden." if len(self.hidden) else ""
+                    session.messages.say(f"The best view shows {100 * best.visible:.0f} % of what is selected.{more}")
             except (OrographError, OSError) as error:
                 session.messages.say(str(error))
             finally:
@@ -62,6 +70,15 @@ class Finder:
                 window.touch()
 
         session.probe.submit(look)
+
+    @property
+    def at_best(self) -> bool:
+        """Whether the camera is where the last view found is, and the selection is as it was."""
+        if self._here is None or self._here[1] != self.window.brush.chosen:
+            return False
+        best, view = self._here[0], self.window.session.view
+        near = 1e-3 * best.distance
+        return math.dist(best.eye, view.eye) < near and math.dist(best.target, view.target) < near
 
     def take(self) -> None:
         """Fly to the view found."""

@@ -80,6 +80,8 @@ def bindings() -> tuple[Binding, ...]:
         Binding("p", "plan: inset, half, none", lambda w: w.plan.cycle()),
         Binding("m", "measure", lambda w: w.tools.toggle()),
         Binding("Escape", "leave the help, a tour, the tool or a flight", commands.escape),
+        Binding(",", "the data's previous time, next time", partial(commands.step_data, way=-1), shown=", ."),
+        Binding(".", "the data's previous time, next time", partial(commands.step_data, way=1), shown=", ."),
         Binding(" ", "play the day", commands.play_day, shown="Space"),
         Binding("k", "add this camera to the tour", commands.add_stop),
         Binding("l", "play the tour", commands.play_tour),

@@ -111,6 +111,7 @@ class Plan:
             canvas.push_clip_rect((x, y), (x + w, y + h), True)
             self._tour(canvas)
             self._footprint(canvas)
+            self._hidden(canvas)
             self._scale(canvas)
             canvas.pop_clip_rect()
             self._mouse()
@@ -243,6 +244,16 @@ class Plan:
             at = tuple(place)
             canvas.add_circle_filled(at, 5.0 if k == touring.chosen else 3.8, dark)
             canvas.add_circle_filled(at, 4.0 if k == touring.chosen else 2.8, ink)
+
+    def _hidden(self, canvas: Any) -> None:
+        """What of a selection the ground hides, while the camera is at the best view of it."""
+        finder = self.window.finder
+        if not finder.at_best or not len(finder.hidden):
+            return
+        dark, ink = imgui.get_color_u32((0, 0, 0, 0.7)), imgui.get_color_u32((0.84, 0.37, 0.0, 1))
+        for place in self.to_screen(finder.hidden):
+            canvas.add_circle_filled(tuple(place), 2.6, dark)
+            canvas.add_circle_filled(tuple(place), 1.8, ink)
 
     def _far(self) -> float:
         """The maximum reach of a footprint, metres: twice the terrain's diagonal."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from orograph.measuring import Places
 from orograph.measuring.text import lines, metres, square
 from orograph.store.terrain import Terrain
+from orograph.viewer.data import Found
 from orograph.viewpoint import Point
 
 Kind = Literal["pick", "profile", "area", "los", "viewshed"]
@@ -54,12 +55,14 @@ def save_rgba(path: Path, pixels: NDArray[np.uint8], grid: Any) -> None:
         file.write(pixels.transpose(2, 0, 1))
 
 
-def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, stem: Path) -> Path:
+def save(
+    kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, stem: Path, found: Sequence[Found] = ()
+) -> Path:
     """Write a result beside ``stem`` with the suffix of its kind: profiles as CSV, a viewshed as GeoTIFF, an area as
     GeoJSON with its numbers as properties (``orograph measure area --geojson`` takes it), a pick as JSON; the path.
 
     Args:
-        points: the clicked points, in the terrain's CRS.
+        points: the clicked points, in the terrain's CRS. found: the data at a pick, which its file lists, too.
 
     Raises:
         OutputError, OSError: it cannot be written.
@@ -73,6 +76,8 @@ def save(kind: Kind, result: Any, points: Sequence[Point], terrain: Terrain, ste
         result[0].save(path)
         return path
     path, told = stem.with_name(stem.name + ".json"), result.to_dict()
+    if found:
+        told["data"] = [{"name": d.name, "value": d.value, "uncertainty": d.sigma, "unit": d.unit} for d in found]
     if kind == "area":
         corners = np.array(points)[:, :2]
         degrees = Places(terrain).lonlat(corners)

@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from imgui_bundle import imgui, implot
 from numpy.typing import NDArray
 
 from orograph import measuring
@@ -27,26 +26,18 @@ from orograph.errors import OrographError
 from orograph.folders import temporary
 from orograph.geovis.layers import Layer
 from orograph.progress import Progress, Task
-from orograph.viewer.panels.tips import CLAMPED, beside
-from orograph.viewer.results import KINDS, Kind, paint, rows, save, save_rgba
+from orograph.viewer import comparing
+from orograph.viewer.panels import measure
+from orograph.viewer.results import Kind, paint, save, save_rgba
 from orograph.viewer.traces import trace
-from orograph.viewer.wording import spoken
+from orograph.viewer.typed_place import place_of
 from orograph.viewpoint import Point
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
 
-HINTS: dict[Kind, str] = {
-    "pick": "Click a place.",
-    "profile": "Click points along a line; Backspace removes the last.",
-    "area": "Click the corners of an area.",
-    "los": "Line of sight: click the eye, then the target.",
-    "viewshed": "Click the place of the eye.",
-}
-MOST = {"pick": 1, "los": 2, "viewshed": 1}
+MOST = {"pick": 2, "los": 2, "viewshed": 1}
 """Maximum number of points of a measurement; a further click starts again."""
-FIELD = 90.0
-"""Width of a number field, logical pixels."""
 Array = NDArray[np.float64]
 
 
@@ -58,6 +49,7 @@ class Tools:
         result: the result of ``measure`` for these points, or None. trouble: why there is none, or "".
         eye, target: metres above the ground for lines of sight. radius: metres of viewsheds.
         marked: the place on the ground for the cursor's place on the profile, or None.
+        put: where the panel was last put by itself, logical pixels.
     """
 
     def __init__(self, window: Window) -> None:
@@ -73,7 +65,7 @@ class Tools:
         self._running = 0
         self._folder: tempfile.TemporaryDirectory[str] | None = None
         self.marked: Point | None = None
-        self._put: tuple[int, int] | None = None
+        self.put: tuple[int, int] | None = None
         self._border: tuple[Any, measuring.Profile] | None = None
         self._ground: tuple[Any, Array] | None = None
 
@@ -132,10 +124,41 @@ class Tools:
         if point is None:
             session.messages.say("There is no ground there.")
             return
+        self._put_point(point)
+
+    def add(self, text: str) -> None:
+        """Measure at a typed place, too; if it is out of the picture, fly there."""
+        session = self.window.session
+        try:
+            x, y = place_of(text, session.terrain)
+        except OrographError as error:
+            session.messages.say(str(error))
+            return
+        height = session.probe.ground(x, y)
+        point = x, y, height if math.isfinite(height) else session.view.target[2]
+        self._put_point(point)
+        (u, v), depth = session.view.project(np.array(point), session.settings.exaggeration)
+        if not (depth > 0 and 0 <= u <= session.view.width and 0 <= v <= session.view.height):
+            session.nav.go_to(point)
+        self.window.touch()
+
+    def _put_point(self, point: Point) -> None:
         if len(self.points) >= MOST.get(self.kind, 10_000):
             self.points = []
         self.points.append(point)
         self.measure()
+
+    def data_rows(self) -> list[tuple[str, str]]:
+        """(name, text) of the data at the picked places."""
+        session = self.window.session
+        shown = session.settings.shown
+        if self.kind != "pick" or shown is None:
+            return []
+        key = "picked data", shown.painted, *self.points
+        found: list[tuple[str, str]] = self.window.cached(
+            key, lambda: comparing.rows(shown, session.terrain.grid, self.points)
+        )
+        return found
 
     def undo(self) -> None:
         """Remove the last point."""
@@ -183,7 +206,7 @@ class Tools:
         """The measurement for the points, or None if there are too few."""
         terrain = self.window.session.terrain
         if self.kind == "pick" and at:
-            return lambda: measuring.place(terrain, at[0])
+            return lambda: measuring.place(terrain, at[-1])
         if self.kind == "profile" and len(at) > 1:
             return lambda: measuring.profile(terrain, at)
         if self.kind == "area" and len(at) > 2:
@@ -208,7 +231,7 @@ class Tools:
         values = shed.values(_Part(self, asked))
         return shed, values, paint(values)
 
-    def _paint(self) -> None:
+    def paint(self) -> None:
         """Lay a finished viewshed over the ground."""
         shed, _, pixels = self.result
         settings = self.window.session.settings
@@ -226,6 +249,8 @@ class Tools:
         """The ground along what was measured, (n, 3), at most about a thousand places; else the points."""
         border = self._border[1] if self._border is not None and self._border[0] is self.result else None
         along = {"profile": self.result, "los": getattr(self.result, "profile", None), "area": border}.get(self.kind)
+        if along is None and self.kind == "pick":
+            return None
         if along is None:
             points = [*self.points, *self.points[:1]] if self.kind == "area" else self.points
             return np.array(points) if len(points) > 1 else None
@@ -238,128 +263,20 @@ class Tools:
     # ---- on the screen ---------------------------------------------------------------------------------------------
 
     def draw(self) -> None:
-        """The panel, and the points on the ground."""
-        if not self.active:
-            return
-        trace(self.window, self.kind, self.points, self._line(), self.result, self.marked)
-        x, y, w, _ = self.window.area
-        beside = self.window.plan.inset_width
-        self._follow((math.floor(x + beside + 28), math.floor(y + 14)))
-        imgui.set_next_window_size((min(460.0, max(w - beside - 100.0, 260.0)), 0), imgui.Cond_.always)
-        shown, opened = imgui.begin("Measure", True, imgui.WindowFlags_.no_focus_on_appearing)
-        if shown:
-            self._panel()
-        imgui.end()
-        if not opened:
-            self.leave()
+        """Draw the panel, and the points on the ground."""
+        if self.active:
+            trace(self.window, self.kind, self.points, self._line(), self.result, self.marked)
+            measure.draw(self)
 
-    def _follow(self, place: tuple[int, int]) -> None:
-        """Keep the panel at the corner of the terrain's area, even if that changes, until it is moved by hand; then it
-        stays there, within the window."""
-        panel: Any = imgui.internal.find_window_by_name("Measure")
-        if panel is None or self._put is None:
-            imgui.set_next_window_pos(place, imgui.Cond_.first_use_ever)
-            self._put = place
-            return
-        if panel.dock_id:
-            return
-        x, y, w, h = panel.pos.x, panel.pos.y, panel.size.x, panel.size.y
-        if (x, y) == self._put:
-            imgui.set_next_window_pos(place)
-            self._put = place
-            return
-        wide, tall = imgui.get_io().display_size
-        inside = max(min(x, wide - w), 0.0), max(min(y, tall - h), 0.0)
-        if inside != (x, y) and not imgui.is_mouse_down(0):
-            imgui.set_next_window_pos(inside)
-
-    def _panel(self) -> None:
-        for k, kind in enumerate(KINDS):
-            if k:
-                beside(imgui.get_frame_height() + imgui.calc_text_size(kind).x)
-            if imgui.radio_button(kind, self.kind == kind) and self.kind != kind:
-                self.choose(kind)
-        if self.kind in ("los", "viewshed"):
-            self._heights()
-        if self.trouble:
-            imgui.text_wrapped(spoken(self.trouble))
-        elif self.result is None:
-            waiting = "Measuring …" if self.part is None else f"Measuring … {self.part:.0%}"
-            imgui.text_disabled(waiting if self.busy else HINTS[self.kind])
-        else:
-            if self.kind == "viewshed":
-                self._paint()
-            for name, value in rows(self.kind, self.result):
-                imgui.text_disabled(name)
-                imgui.same_line(130)
-                imgui.text(value)
-            if self.kind in ("profile", "los"):
-                self._plot()
-        if imgui.small_button("Clear"):
-            self.clear()
-        imgui.same_line()
-        imgui.begin_disabled(self.result is None)
-        if imgui.small_button("Save"):
-            self._save()
-        imgui.end_disabled()
-
-    def _heights(self) -> None:
-        """Heights of eye and target above the ground, and the radius of a viewshed: a change measures again."""
-        imgui.push_item_width(FIELD)
-        changed = False
-        for name in ("eye", "target"):
-            if name == "target":
-                beside(FIELD + imgui.calc_text_size(name).x)
-            moved, value = imgui.drag_float(name, getattr(self, name), 0.1, 0.0, 10_000.0, "%.1f m", CLAMPED)
-            if moved:
-                setattr(self, name, value)
-            changed |= imgui.is_item_deactivated_after_edit()
-        if self.kind == "viewshed":
-            beside(FIELD + imgui.calc_text_size("radius").x)
-            flags = CLAMPED | imgui.SliderFlags_.logarithmic
-            moved, value = imgui.drag_float("radius", self.radius, 100.0, 100.0, 500_000.0, "%.0f m", flags)
-            if moved:
-                self.radius = value
-            changed |= imgui.is_item_deactivated_after_edit()
-        imgui.pop_item_width()
-        if changed and self.points:
-            self.measure()
-
-    def _plot(self) -> None:
-        """Heights along the line; the cursor on the plot marks its place on the ground."""
-        profile = self.result.profile if self.kind == "los" else self.result
-        x, z = profile.distance / 1000.0, profile.surface_heights
-        if not np.isfinite(z).any():
-            return
-        low, high = float(np.nanmin(z)), float(np.nanmax(z))
-        sight = self.result.line if self.kind == "los" else None
-        if sight is not None:
-            high = max(high, float(np.nanmax(sight)))
-        room = 0.08 * max(high - low, 1.0)
-        self.marked = None
-        flags = implot.Flags_.no_legend | implot.Flags_.no_menus | implot.Flags_.no_mouse_text
-        if implot.begin_plot("##profile", (-1, 170), flags):
-            implot.setup_axes("km", "m")
-            implot.setup_axes_limits(0.0, max(float(x[-1]), 1e-6), low - room, high + room, implot.Cond_.always)
-            implot.plot_shaded("ground", x, np.ascontiguousarray(z), low - room)
-            implot.plot_line("ground", x, np.ascontiguousarray(z))
-            if sight is not None:
-                implot.plot_line("sight", x, np.ascontiguousarray(sight))
-            if implot.is_plot_hovered():
-                at = min(max(implot.get_plot_mouse_pos().x * 1000.0, 0.0), float(profile.distance[-1]))
-                points, heights, _ = profile.at(at)
-                self.marked = float(points[0, 0]), float(points[0, 1]), float(heights[0])
-                implot.plot_inf_lines("here", np.array([at / 1000.0]))
-                imgui.set_tooltip(f"{at / 1000.0:.3f} km   {heights[0]:.1f} m")
-            implot.end_plot()
-
-    def _save(self) -> None:
+    def save(self) -> None:
         """Save the result in the folder where the window was started."""
         session = self.window.session
         stem = "".join(c if c.isalnum() or c in "-_." else "-" for c in session.terrain.name)
         stem = f"{stem}-{self.kind}-{time.strftime('%Y%m%d-%H%M%S')}"
         try:
-            path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem)
+            shown, (*_, (x, y, _)) = session.settings.shown, self.points
+            found = () if shown is None or self.kind != "pick" else shown.at(x, y)
+            path = save(self.kind, self.result, self.points, session.terrain, Path.cwd() / stem, found)
         except (OrographError, OSError) as error:
             session.messages.say(f"The result was not saved: {error}", error=True)
         else:

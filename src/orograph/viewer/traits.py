@@ -48,7 +48,7 @@ class Widget(HasTraits):
         found: what data say under the pointer, each (name, value, sigma, unit).
         measure: what clicks measure: "pick", "profile"…; "" while they do not.
         picked: the points that were clicked, each (easting, northing, height); set them to have them measured.
-        measured: what they measure (``orograph.measure``), or None.
+        measured: what they measure (``orograph.measure``; of picks, the last), or None.
     """
 
     camera = Instance(View)

@@ -183,7 +183,7 @@ def test_a_thing_tells_its_value_and_its_uncertainty(ground: orograph.Terrain) -
     window.things = scene.theme.things
     assert window.things is not None
     told = [found.words for number in range(len(window.things)) for found in window.of_thing(number)]
-    assert told == ["load 1 ± 0.1 t", "load 2 ± 0.5 t", "load 3 ± 0.2 t", "load 4 ± 0.4 t",
+    assert told == ["load 1.00 ± 0.10 t", "load 2.00 ± 0.50 t", "load 3.00 ± 0.20 t", "load 4.00 ± 0.40 t",
                     "load 1 t", "load 2 t", "load 3 t"]  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from orograph.geo.grid import Grid
 from orograph.geovis.data.classes import ClassTable, says_classes
 from orograph.geovis.data.dataset import Dataset
 from orograph.geovis.data.reading import read
+from orograph.geovis.data.units import fixed_unit
 from orograph.geovis.keys import written_unit
 
 
@@ -58,3 +59,21 @@ def test_maps_of_light_say_what_they_are(tmp_path):
     lighting.insolation(dem, "2026-06-21", 8).save(tmp_path / "i.tif")
     energy = read(Dataset(str(tmp_path / "i.tif"), band=3), grid)
     assert (energy.name, energy.unit, energy.chosen) == ("insolation: global", "Wh/m²", "")
+
+
+def test_a_unit_that_a_format_fixes_is_used_and_said(tmp_path):
+    """GDAL tells no unit of BAG, whose standard has metres; of a GeoTIFF with such bands nothing is known."""
+    from rasterio.shutil import copy
+
+    place, crs = Affine(10, 0, 5e5, 0, -10, 4.7e6), "EPSG:32619"
+    profile = {"driver": "GTiff", "width": 8, "height": 6, "count": 2, "dtype": "float32", "crs": crs, "nodata": 1e6}
+    with rasterio.open(tmp_path / "sea.tif", "w", **profile, transform=place) as file:
+        file.write(np.random.default_rng(1).uniform(-30, 5, (2, 6, 8)).astype(np.float32))
+        file.descriptions = ("elevation", "uncertainty")
+    copy(tmp_path / "sea.tif", tmp_path / "sea.bag", driver="BAG")
+    grid = Grid((6, 8), place, CRS.from_user_input(crs))
+    for band in (1, 2):
+        field = read(Dataset(str(tmp_path / "sea.bag"), band=band), grid)
+        assert (field.unit, field.chosen) == ("m", "in m by the BAG standard")
+        assert read(Dataset(str(tmp_path / "sea.tif"), band=band), grid).unit == ""
+    assert fixed_unit("BAG", "num_hypotheses") == fixed_unit("BAG", None) == ""

@@ -85,7 +85,7 @@ def shown_pair(first: Dataset, second: Dataset, grid: Grid, texels: int) -> Show
             "A bivariate picture cannot also show uncertainty.", path=first.called,
             remedy="Show the uncertainty as the second variable.",
         )  # fmt: skip
-    count = first.classes if first.classes <= MOST else USUAL
+    count = classes_of(first)
     fields = [read_data(one, grid) for one in (first, second)]
     first, second = as_shown(first), as_shown(second)
     over = cropped(fields[0], grid, texels)
@@ -107,6 +107,11 @@ def shown_pair(first: Dataset, second: Dataset, grid: Grid, texels: int) -> Show
         first, "segmented", "none", told, np.where(known, number, np.nan).astype(np.float32), None, over, table,
         (0.0, 1.0), square=Square(colors, across.label, up.label, across.edges, up.edges),
     )  # fmt: skip
+
+
+def classes_of(one: Dataset) -> int:
+    """The number of classes that a dataset's values have."""
+    return USUAL if one.style == "bivariate" and one.classes > MOST else one.classes
 
 
 def square(wide: int, tall: int) -> NDArray[np.float32]:

@@ -73,7 +73,7 @@ def _derived(field: Field, given: Dataset, grid: Grid) -> Field:
     else:
         _several(count, field.name, "exceeds")
         found, chosen = exceedance(field.values, given.exceeds), field.chosen.replace("mean of", "part of", 1)
-    return replace(field, values=found[None], name=called, unit="", chosen=chosen)
+    return replace(field, values=found[None], name=called, unit="", limit_unit=unit, chosen=chosen)
 
 
 def _several(count: int, name: str, key: str) -> None:

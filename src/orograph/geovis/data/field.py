@@ -37,6 +37,7 @@ class Field:
         values: (members, rows, cols) float32, NaN where there are none. grid: of rows and columns, in their own CRS.
         name, unit: what they are. chosen: what was chosen of several, in words. warnings: full sentences.
         statistic: what is shown of members ("mean", "p90"…: see ``statistics``).
+        limit_unit: of a probability, the unit of the value that is exceeded.
         tags, palette, named: of classes (``classes``), what the source, or a file beside it, says of their names and
             colours. coded: whether its numbers seem to be codes of classes although nothing says so.
     """
@@ -48,6 +49,7 @@ class Field:
     chosen: str = ""
     warnings: tuple[str, ...] = ()
     statistic: str = "mean"
+    limit_unit: str = ""
     tags: Mapping[str, Any] = field(default_factory=dict)
     palette: Mapping[int, Any] | None = None
     named: Named | None = None

@@ -29,6 +29,7 @@ from orograph.geovis.data.field import Field, Values, in_units, step_of, window_
 from orograph.geovis.data.listing import subdataset, times_in
 from orograph.geovis.data.shared import reading_once
 from orograph.geovis.data.times import neighbours
+from orograph.geovis.data.units import fixed_unit
 from orograph.geovis.keys import written_unit
 from orograph.geovis.placement import Placement, grid_of
 
@@ -121,6 +122,8 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
             raise ReadError(f"Its values cannot be read: {cause_of(error)}", path=given.source) from None
         tags = file.tags(bands[0])
         unit = (file.units[bands[0] - 1] or tags.get("GRIB_UNIT") or tags.get("units") or "").strip()
+        driver = file.driver
+        fixed = "" if unit else fixed_unit(driver, file.descriptions[bands[0] - 1])
         said = tags.get("long_name") or tags.get("GRIB_COMMENT") or ""
         described = "" if len(bands) > 1 else _description(file.descriptions[bands[0] - 1])
         name = re.sub(r"\s*\[.*?\]\s*$", "", said) or (given.variable or described or Path(given.source).stem).replace(
@@ -128,14 +131,16 @@ def _of_file(given: Dataset | Uncertainty, grid: Grid) -> Field:
         )
         chosen = "" if chosen == file.descriptions[bands[0] - 1] and (said or described) else chosen
         palette = file.colormap(bands[0]) if coloured else None
+    if fixed:
+        chosen = ", ".join(filter(None, (chosen, f"in {fixed} by the {driver} standard")))
     values = parts[0][None] if len(parts) == 1 else np.stack(parts)
     if coded:
         told.append(
             f"{name} holds a few whole numbers in patches, which are shown as classes. (The style continuous shows "
             "them as numbers.)"
         )
-    return in_units(Field(values, own, name, written_unit(unit), chosen, tuple(told), tags=tags, palette=palette,
-                           named=named, coded=coded))  # fmt: skip
+    return in_units(Field(values, own, name, written_unit(unit or fixed), chosen, tuple(told), tags=tags,
+                          palette=palette, named=named, coded=coded))  # fmt: skip
 
 
 def _description(told: str | None) -> str:

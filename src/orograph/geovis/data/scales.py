@@ -178,6 +178,22 @@ def class_breaks(values: NDArray[Any], classes: int, way: str, low: float, high:
     return tuple(float(v) for v in np.unique(found) if low < v < high)
 
 
+def shared_breaks(
+    pooled: NDArray[Any], classes: int, breaks: Breaks | tuple[float, ...], span: tuple[float, float]
+) -> Breaks | tuple[float, ...]:
+    """One set of breaks for several pictures: those that ``class_breaks`` finds among the values of all, so that
+    colours mean the same in each.
+
+    Args:
+        pooled: values of all pictures, NaN where there are none. span: the ends of their scale.
+    """
+    if isinstance(breaks, tuple) or breaks == "equal":
+        return breaks
+    inside = pooled[np.isfinite(pooled) & (pooled >= span[0]) & (pooled <= span[1])]
+    edges = (float(span[0]), *class_breaks(inside, classes, breaks, *span), float(span[1]))
+    return edges if len(edges) > 2 else "equal"
+
+
 def _natural(ordered: Array, classes: int) -> Array:
     """Natural breaks of sorted values: the first value of each class but the first."""
     if len(ordered) > JENKS_SAMPLES:

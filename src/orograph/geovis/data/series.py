@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph.geo.grid import Grid
+from orograph.geovis.data.bivariate import classes_of
 from orograph.geovis.data.dataset import MEASURES, Breaks, Dataset, Uncertainty
 from orograph.geovis.data.derived import deviations, read_data
 from orograph.geovis.data.field import Field
 from orograph.geovis.data.listing import levels_in
-from orograph.geovis.data.painting import FLOWS, image_grid
+from orograph.geovis.data.painting import FLOWS, as_shown, image_grid
 from orograph.geovis.data.reading import read
 from orograph.geovis.data.sampling import Positions
-from orograph.geovis.data.scales import Shared, class_breaks, doubted
+from orograph.geovis.data.scales import Shared, doubted, shared_breaks
 from orograph.geovis.data.vectors import read_vectors
 
 LOOKED_AT = 512
@@ -33,8 +34,9 @@ class OneScale(NamedTuple):
 
     @classmethod
     def of(cls, whole: Dataset, ones: Sequence[Dataset], grid: Grid) -> OneScale:
-        """From the least to the greatest value of all (a probability: from 0 to 1), or as ``whole`` says; classes of
-        equal steps where quantiles are asked for; uncertainties from 0 to the 98th percentile of all."""
+        """From the least to the greatest value of all (a probability: from 0 to 1, in classes of equal steps), or as
+        ``whole`` says; quantiles and natural breaks are those of all values; uncertainties go from 0 to the 98th
+        percentile of all."""
         values: list[NDArray[Any]] = []
         sigmas: list[NDArray[Any]] = []
         over = image_grid(grid, LOOKED_AT)
@@ -47,11 +49,7 @@ class OneScale(NamedTuple):
                     sigmas.append(Positions.of(over, found[0]).values(found[1]).ravel())
         pooled = np.concatenate(values)
         span = whole.range or ((0.0, 1.0) if whole.exceeds is not None else Shared(ends_of(pooled)))
-        breaks: Breaks | tuple[float, ...] = "equal" if whole.breaks == "quantiles" else whole.breaks
-        if breaks == "jenks":
-            inside = pooled[np.isfinite(pooled) & (pooled >= span[0]) & (pooled <= span[1])]
-            edges = (span[0], *class_breaks(inside, whole.classes, "jenks", *span), span[1])
-            breaks = edges if len(edges) > 2 else "equal"
+        breaks = shared_breaks(pooled, classes_of(whole), as_shown(whole.but(uncertainty=None)).breaks, span)
         asked = whole.uncertainty.range if isinstance(whole.uncertainty, Uncertainty) else None
         doubt = asked or (doubted(np.concatenate(sigmas)) if sigmas else None)
         return cls(span, breaks, doubt)

@@ -21,7 +21,7 @@ from orograph.geovis.data.dataset import Dataset, Standing, Uncertainty
 from orograph.geovis.data.painted import SWATCHES, rounded
 from orograph.geovis.data.points import Points
 from orograph.geovis.data.priority import Priority
-from orograph.geovis.data.scales import ColorScale, Shared, doubted
+from orograph.geovis.data.scales import ColorScale, doubted
 from orograph.geovis.data.signs import INK, colored
 from orograph.geovis.data.standing_marks import MARKS, swatch
 from orograph.geovis.keys import Legend, Scale
@@ -238,10 +238,9 @@ def things_of(dataset: Dataset, points: Points, grid: Grid, priority: Priority, 
 
 
 def scale_of(dataset: Dataset, values: Array, priority: Priority) -> ColorScale:
-    """The scale of numbers (n,): of classes where data are not prioritised, of equal steps where pictures share it."""
-    shared = isinstance(dataset.range, Shared) and dataset.breaks == "quantiles"
-    breaks = "equal" if shared else dataset.breaks
-    return ColorScale.of(values, dataset.plain_colormap, dataset.range, 0 if priority.data else dataset.classes, breaks)
+    """The scale of numbers (n,): of classes where data are not prioritised."""
+    classes = 0 if priority.data else dataset.classes
+    return ColorScale.of(values, dataset.plain_colormap, dataset.range, classes, dataset.breaks)
 
 
 def _sign(dataset: Dataset, priority: Priority, style: str) -> str:

@@ -1,4 +1,4 @@
-"""Units of standard deviations. Only differences count: 1 K is 1 °C or 1.8 °F."""
+"""Units that formats fix, and those of standard deviations, of which only differences count: 1 K is 1 °C or 1.8 °F."""
 
 from __future__ import annotations
 
@@ -11,6 +11,18 @@ KINDS: tuple[dict[str, float], ...] = (
     {"m/s": 1.0, "km/h": 1 / 3.6, "kn": 1852 / 3600, "kt": 1852 / 3600, "knots": 1852 / 3600},
 )
 """Units that measure the same thing, and how many of the first of them each is."""
+
+FIXED: dict[str, tuple[str, frozenset[str]]] = {
+    "BAG": ("m", frozenset(("elevation", "uncertainty", "nominal_elevation"))),
+}
+"""By GDAL's name of a format: the unit that its standard fixes, and for which bands. (Bathymetric Attributed Grid: Open
+Navigation Surface Working Group, *Format Specification Document*: metres.)"""
+
+
+def fixed_unit(driver: str, band: str | None) -> str:
+    """The unit that a format's standard fixes for a band of this description; "": none."""
+    unit, bands = FIXED.get(driver, ("", frozenset()))
+    return unit if (band or "").strip().lower() in bands else ""
 
 
 def ratio(unit: str, of: str) -> float | None:

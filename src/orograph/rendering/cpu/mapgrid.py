@@ -103,14 +103,14 @@ def water_map(scene: Scene, ground: Ground, window: Rectangle, memo: Memo) -> tu
 
 def _water(scene: Scene, ground: Ground, window: Rectangle) -> tuple[NDArray[np.float32], float]:
     """The field of water over the working grid, (0, 0) if there is none, and the part of the grid that is water."""
-    from orograph.geovis.water import shore, water_in
+    from orograph.geovis.water import shore, still, water_in
 
     heights = scene.terrain.read_mean(*window)
     field: NDArray[np.floating] = np.empty((0, 0), np.float32)
     if scene.data.water == "auto":
         found = water_in(scene.terrain, ground.rays.to_samples.spacing, window.level, window.row0, window.col0, heights)
         if found.any():
-            field = shore(found)
+            field = shore(found, still(heights))
     else:
         assert scene.data.water is not None
         found = heights <= np.float32(scene.data.water)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph.geovis.water import level_in
+from orograph.geovis.water import still
 from orograph.rendering.lines.smooth import interpolated
 from orograph.store.terrain import Terrain, level_shape
 
@@ -56,7 +56,7 @@ class Spots:
         lines: (n, POINTS, 2) easting and northing along the line through each; the spot is the middle one.
         heights: of their contours, metres. slopes: (n, 2) of the ground there, metres per metre east and north.
         bends: how far lines go aside, as a part of their length. level: of the block.
-        shores: (n,) whether level ground of height 0 is beside it, the sea.
+        shores: (n,) whether ground at height 0 that none is lower than is beside it: the sea, mostly.
     """
 
     lines: Array
@@ -124,14 +124,14 @@ def spots(terrain: Terrain, level: int, row: int, col: int, step: float) -> Spot
 
 
 def _by_the_sea(terrain: Terrain, level: int, at: Array) -> NDArray[np.bool_]:
-    """Whether a sample within two of (column, row) (n, 2) of a level is 0 like all around it."""
+    """Whether a sample within two of (column, row) (n, 2) of a level is at 0 and no neighbour is lower."""
     if not len(at):
         return np.zeros(0, bool)
     at = np.rint(at * 2.0 ** min(level, 0)).astype(np.intp)  # between samples, of the raster's own
     rows, cols = shape_of(terrain, max(level, 0))
     (c0, r0), (c1, r1) = np.maximum(at.min(0) - 3, 0), np.minimum(at.max(0) + 4, [cols, rows])
     heights = read(terrain, max(level, 0), r0, r1, c0, c1).astype(np.float32)
-    sea = np.pad(level_in(heights, heights == 0), 2)
+    sea = np.pad(still(heights), 2)
     col, row = (at - [c0, r0]).T
     return np.asarray(np.logical_or.reduce([sea[row + i, col + j] for i in range(5) for j in range(5)]))
 

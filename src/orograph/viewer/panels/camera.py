@@ -11,6 +11,7 @@ from orograph.measuring import Places
 from orograph.viewer import commands
 from orograph.viewer.navigation import heading_pitch
 from orograph.viewer.overlay import lonlat
+from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
     from orograph.viewer.window import Window
@@ -48,6 +49,11 @@ def draw(window: Window) -> None:
     imgui.same_line()
     if imgui.small_button("Save picture"):
         window.pictures.ask()
+    imgui.same_line()
+    if imgui.small_button("Measure"):
+        window.tools.toggle()
+        window.touch()
+    tip("Heights, data, lengths, areas and what is seen, by clicks on the ground (key M).")
     imgui.text_disabled("kept views (Ctrl + digit to keep)")
     for slot in "123456789":
         if slot != "1":

@@ -11,6 +11,7 @@ from imgui_bundle import imgui
 from orograph.errors import OrographError
 from orograph.geovis.data.times import written
 from orograph.geovis.keys import Legend, Scale
+from orograph.viewer.commands import change_data, step_data
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
@@ -43,21 +44,12 @@ def draw(window: Window) -> None:
         moved, on = imgui.checkbox(f"{name}##first", getattr(shown.priority, name))
         tip(what)
         if moved:
-            change(window, priority=replace(shown.priority, **{name: on}))
+            change_data(window, priority=replace(shown.priority, **{name: on}))
     _exceeding(window)
     _turns(window)
     _times(window)
     for key in window.session.scene().keys:
         _key(key)
-
-
-def change(window: Window, **changes: Any) -> None:
-    """Show data with another priority or time; errors appear in the window."""
-    try:
-        window.session.settings.show(window.session.terrain, **changes, finer=window.refresh)
-    except (OrographError, OSError) as error:
-        window.session.messages.say(str(error))
-    window.touch()
 
 
 def finish(window: Window) -> None:
@@ -84,18 +76,22 @@ def _exceeding(window: Window) -> None:
         "Counted over all members or times, or from the normal distribution; use the panel Plot to select where it "
         "is, say, 90 %."
     )
-    first = shown.painted[0] if shown.painted else None
+    first = shown.exceeding
     if moved and first is not None:
         exceed(window, float(f"{(first.scale.low + first.scale.high) / 2:.3g}") if on else None)
     elif shown.exceeds is not None:
+        unit = "" if first is None else first.field.limit_unit or first.unit
         imgui.same_line()
-        imgui.set_next_item_width(-1)
+        imgui.set_next_item_width(-imgui.calc_text_size(unit).x - imgui.get_style().item_spacing.x if unit else -1)
         _, value = imgui.input_float(f"##above{k}", float(window.texts.get("exceeds", shown.exceeds)), format="%.4g")
         if imgui.is_item_active():
             window.texts["exceeds"] = str(value)
         if imgui.is_item_deactivated_after_edit():
             window.texts.pop("exceeds", None)
             exceed(window, value)
+        if unit:
+            imgui.same_line()
+            imgui.text_unformatted(unit)
 
 
 def _turns(window: Window) -> None:
@@ -118,7 +114,7 @@ def turn(window: Window, on: bool) -> None:
     if shown is None or shown.turns is None:
         return
     shown.turns.on = on
-    change(window)
+    change_data(window)
 
 
 def exceed(window: Window, value: float | None) -> None:
@@ -127,7 +123,7 @@ def exceed(window: Window, value: float | None) -> None:
     if shown is None:
         return
     shown.exceeds = value
-    change(window)
+    change_data(window)
 
 
 def _times(window: Window) -> None:
@@ -144,23 +140,23 @@ def _times(window: Window) -> None:
         window.texts["time"] = str(part)
     if imgui.is_item_deactivated_after_edit():
         shown.playing = False
-        change(window, time=shown.at_part(float(window.texts.pop("time", part))))
+        change_data(window, time=shown.at_part(float(window.texts.pop("time", part))))
     if imgui.button("Pause" if shown.playing else "Play##time"):
         shown.playing = not shown.playing
         if shown.playing:
             window.touch()
         else:
-            change(window)  # finely again
+            change_data(window)  # finely again
     tip(f"Plays the span below in {PLAYED:g} seconds, or as fast as the data are read.")
     for words, way in (("<##earlier", -1), (">##later", 1)):
         imgui.same_line()
         if imgui.button(words):
-            step(window, way)
-        tip("The previous time." if way < 0 else "The next time.")
+            step_data(window, way)
+        tip("The previous time (key ,)." if way < 0 else "The next time (key .).")
     imgui.same_line()
     if imgui.button("As given##time"):
         shown.playing = False
-        change(window, time="")
+        change_data(window, time="")
     _limits(window, shown)
     if shown.time:
         imgui.text_wrapped(shown.time_text)
@@ -198,21 +194,6 @@ def limit(window: Window, **ends: str) -> None:
     window.touch()
 
 
-def step(window: Window, way: int) -> None:
-    """Show the data's next or previous time; for tracks alone, step by a fiftieth of all time."""
-    shown = window.session.settings.shown
-    if shown is None or shown.span is None:
-        return
-    if len(shown.times) < 2:
-        change(window, time=shown.at_part(min(max(shown.part + way / 50, 0.0), 1.0)))
-        return
-    after = [time for time in shown.times if time > shown.time]
-    before = [time for time in shown.times if time < shown.time]
-    following = after[:1] if way > 0 else before[-1:]
-    if following:
-        change(window, time=following[0])
-
-
 def advance(window: Window, seconds: float) -> bool:
     """Advance the data's time, and the turns of members; returns whether anything goes on by itself."""
     shown = window.session.settings.shown
@@ -224,9 +205,9 @@ def advance(window: Window, seconds: float) -> bool:
     passed, shown.waited = min(shown.waited, LONGEST), 0.0
     turned = shown.turns is not None and shown.turns.advance(seconds)
     if shown.playing:
-        change(window, time=shown.play(passed / PLAYED))
+        change_data(window, time=shown.play(passed / PLAYED))
     elif turned:
-        change(window)
+        change_data(window)
     return True
 
 

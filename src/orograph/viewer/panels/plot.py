@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from imgui_bundle import imgui
 
 from orograph.errors import OrographError
+from orograph.viewer.brushing import opened
 from orograph.viewer.panels.tips import tip
 
 if TYPE_CHECKING:
-    from orograph.viewer.brushing import Array, Mask, Sampled
+    from orograph.viewer.brushing import Array, Mask, Range, Sampled
     from orograph.viewer.window import Window
 
 BINS, CELLS = 48, (48, 36)
@@ -50,13 +52,12 @@ def draw(window: Window) -> None:
     _dragged(window, plot)
     # (Above the ranges: their tips appear below the pointer.)
     imgui.text_wrapped("Drag over the plot, or type, to select." if brush.empty else brush.describe(terrain, shown))
+    units = brush.units(terrain, shown)
     for name, ends in zip(wanted, plot.ends):
-        _typed(window, name, ends)
-    for name, (low, high) in brush.ranges.items():
+        _typed(window, name, units.get(name, ""), ends)
+    for name, range_ in brush.ranges.items():
         if name not in wanted:
-            imgui.text_unformatted(f"{name} {low:.4g} to {high:.4g}")
-    if window.brush.area:
-        imgui.text_unformatted("within the measured area")
+            imgui.text_unformatted(f"{name} {told(range_, units.get(name, ''))}")
     if imgui.button("Select measured area"):
         select(window, area=[point[:2] for point in window.tools.points])
     tip("The corners clicked while measuring an area (M).")
@@ -66,8 +67,13 @@ def draw(window: Window) -> None:
     imgui.same_line()
     if imgui.button("Best view"):
         window.finder.find()
-    tip("Fly to the camera that shows most of what is selected.")
+    tip("Fly to the camera that shows most of what is selected; dots on the plan mark what it does not show.")
     imgui.end_disabled()
+    if window.finder.at_best:
+        hidden, of = len(window.finder.hidden), max(window.finder.looked_for, 1)
+        imgui.text_wrapped(
+            f"{100 * hidden / of:.0f} % of the selection is hidden" + (" (dots on the plan)" * (hidden > 0))
+        )
 
 
 def select(window: Window, **changes: Any) -> None:
@@ -82,10 +88,22 @@ def select(window: Window, **changes: Any) -> None:
     window.touch()
 
 
-def _typed(window: Window, name: str, ends: tuple[float, float]) -> None:
-    """The range of a variable, editable; by default the ends of its values."""
+def told(range_: Range, unit: str) -> str:
+    """A range in words: "0.9 or more", "2 to 3 °C"."""
+    low, high = range_
+    if low == -math.inf and high == math.inf:
+        return "any"
+    words = f"{low:.4g} to {high:.4g}" if math.isfinite(high - low) else f"{low if math.isfinite(low) else high:.4g}"
+    more = "" if math.isfinite(high - low) else " or more" if math.isfinite(low) else " or less"
+    return f"{words} {unit}".rstrip() + more
+
+
+def _typed(window: Window, name: str, unit: str, ends: tuple[float, float]) -> None:
+    """The range of a variable, editable; where it is open, the ends of its values."""
     key = f"range {name}"
-    given = [*window.brush.ranges.get(name, ends)]
+    low, high = window.brush.ranges.get(name, ends)
+    given = [min(ends[0], high) if low == -math.inf else low, max(ends[1], low) if high == math.inf else high]
+    imgui.text_disabled(f"{name}, from and to" + (f" ({unit})" if unit else ""))
     typed = window.texts.get(key)
     imgui.set_next_item_width(-1)
     _, values = imgui.input_float2(f"##{key}", [float(v) for v in typed.split()] if typed else given, "%.4g")
@@ -97,7 +115,7 @@ def _typed(window: Window, name: str, ends: tuple[float, float]) -> None:
         low, high = values[0], values[1]
         if low > high:  # what was typed counts, and the other end follows
             low, high = (low, low) if low != given[0] else (high, high)
-        select(window, ranges={**window.brush.ranges, name: (low, high)})
+        select(window, ranges={**window.brush.ranges, name: opened((low, high), ends)})
     elif not imgui.is_item_active():
         window.texts.pop(key, None)
 
@@ -179,7 +197,8 @@ def _dragged(window: Window, plot: Plotted) -> None:
     for k, (name, (first, last)) in enumerate(zip(plot.names, plot.ends)):
         ranges.pop(name, None)
         if far >= LEAST:
-            ranges[name] = (first + low[k] * (last - first), first + high[k] * (last - first))
+            dragged = first + low[k] * (last - first), first + high[k] * (last - first)
+            ranges[name] = opened(dragged, (first, last))
     select(window, ranges=ranges)
 
 
