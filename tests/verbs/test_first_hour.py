@@ -105,7 +105,7 @@ def test_a_figure_is_no_axes(dem):
     figure = pyplot.figure()
     picture = orograph.render(dem, size=(60, 40))
     for given, kind in ((figure, "a Figure"), ((figure, figure.subplots()), "a tuple")):
-        with pytest.raises(UsageError, match=rf"not {kind}. Those of a figure are figure\.subplots\(\)"):
+        with pytest.raises(UsageError, match=rf"not on {kind}. Those of a figure are figure\.subplots\(\)"):
             picture.plot(given)
     pyplot.close(figure)
 
