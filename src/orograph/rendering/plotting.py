@@ -44,7 +44,7 @@ def plot(picture: Picture, ax: Any = None, **options: Any) -> Any:
     pyplot = _matplotlib()
     if ax is not None and not hasattr(ax, "imshow"):
         raise UsageError(
-            f"A picture is drawn on axes, not on {'an' if type(ax).__name__[0] in 'AEIOU' else 'a'} {type(ax).__name__}.",
+            f"A picture is drawn on axes, not on a {type(ax).__name__}.",
             remedy="Those of a figure are figure.subplots(), and pyplot.subplots() returns both.",
         )
     height, width = picture.pixels.shape[:2]
