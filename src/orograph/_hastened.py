@@ -1,4 +1,4 @@
-"""Makes Numba compile in two thirds of the time, in a process that compiles kernels and ends.
+"""Makes Numba compile in 0.7 of the time, in a process that compiles kernels and ends.
 
 Most of the time goes into Numba's own Python. Here a process leaves out what nobody looks at (events, machine code of
 functions that are only linked into kernels) and remembers what Numba works out again and again. It compiles the same
@@ -14,7 +14,7 @@ from orograph._spared import spare_imports
 
 
 def hasten() -> None:
-    """Spare this process, which only compiles, a third of Numba's time."""
+    """Spare this process, which only compiles, a good quarter of Numba's time."""
     spare_imports()
     gc.set_threshold(100_000, 20, 20)  # a compiler's objects live long
     _compare_options_that_are_set()

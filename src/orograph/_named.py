@@ -27,6 +27,8 @@ MEANT = {
     **dict.fromkeys(("error", "sigma", "std"), "uncertainty"),
     **dict.fromkeys(("cellsize", "cell_size", "pixel_size", "cell"), "spacing"),
     **dict.fromkeys(("method", "for_"), "methods"),
+    **dict.fromkeys(("bounds", "aoi"), "bbox"),
+    **dict.fromkeys(("extent", "affine", "geotransform"), "transform"),
     "eye": "eye_height",
     "target": "target_height",
     "flat": "curvature",

@@ -56,6 +56,22 @@ def test_it_says_what_it_made(tmp_path):
         np.testing.assert_array_equal(terrain.read(0, 0, 300, 0, 200), expected)
 
 
+def test_the_sides_of_chunks_and_shards(tmp_path, run):
+    dem, out = write(tmp_path / "dem.tif", HEIGHTS), tmp_path / "a.oro"
+    for sides, said in (
+        (("--chunk", 100), "--chunk must be a power of two, at least 8, not 100."),
+        (("--chunk", 1), "--chunk must be a power of two, at least 8, not 1."),
+        (("--shard", 100), "--shard must be a power of two, at least --chunk (256), not 100."),
+        (("--shard", 128), "not 128. Make --chunk smaller, or leave --shard out: it follows from --max-memory."),
+    ):
+        code, _, err = run("build", dem, "-o", out, *sides)
+        assert code == 2 and said in err and not list(tmp_path.glob("a.oro*"))
+    assert run("build", dem, "-o", out, "--shard", 128, "--chunk", 64)[0] == 0
+    array = json.loads((out / "heights/0/height/zarr.json").read_text())
+    assert array["chunk_grid"]["configuration"]["chunk_shape"] == [128, 128]
+    assert array["codecs"][0]["configuration"]["chunk_shape"] == [64, 64]
+
+
 def test_json(tmp_path):
     dem = write(tmp_path / "dem.tif", HEIGHTS)
     ran = orograph("build", dem, "-o", tmp_path / "area.oro", "--json", "--max-memory", "512MiB", "--jobs", 1)

@@ -273,6 +273,24 @@ def test_what_cannot_be_meant_is_refused_with_the_way_in(given: Any, tmp_path: P
             call()
 
 
+def test_what_holds_heights_in_another_form_is_told_the_way_in(path: Path) -> None:
+    import io
+
+    pandas = pytest.importorskip("pandas")
+    content = path.read_bytes()
+    with rasterio.open(path) as dataset, rasterio.MemoryFile(content) as memory, path.open("rb") as file:
+        for given, way in (
+            (path.parent.glob("*.tif"), "Make a list of it"), (pandas.DataFrame(values()), r"\.to_numpy\(\)"),
+            (rasterio.band(dataset, 1), "band="), (memory, r"\.open\(\)"), (content, "MemoryFile"),
+            (io.BytesIO(content), "MemoryFile"), (file, "Give its path"),
+        ):  # fmt: skip
+            with pytest.raises(UsageError, match=f"terrain takes a path.*got.*{way}"):
+                orograph.terrain(given)
+    for odd, here in (("bounds", "bbox"), ("extent", "transform")):
+        with pytest.raises(UsageError, match=f"It is called {here} here"):
+            orograph.terrain(path, **{odd: (0, 1, 0, 1)})
+
+
 def test_functions_that_take_a_terrain_take_them_all(path: Path, dataset: Any, tmp_path: Path) -> None:
     a, b = (380100.0, 3789900.0), (381000.0, 3789200.0)
     truth = measuring.profile(orograph.terrain(path), [a, b]).length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 
 import numpy as np
@@ -99,10 +100,26 @@ def test_results_are_drawn_on_axes(dem):
     pyplot.close(fig)
 
 
+def test_a_figure_is_no_axes(dem):
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    figure = pyplot.figure()
+    picture = orograph.render(dem, size=(60, 40))
+    for given, kind in ((figure, "a Figure"), ((figure, figure.subplots()), "a tuple")):
+        with pytest.raises(UsageError, match=rf"not on {kind}. Those of a figure are figure\.subplots\(\)"):
+            picture.plot(given)
+    pyplot.close(figure)
+
+
 def test_what_other_libraries_call_saving(dem):
     picture = orograph.render(dem, size=(60, 40))
     with pytest.raises(AttributeError, match=r"use picture\.save\(path\)"):
         picture.savefig("x.png")
+    with pytest.raises(AttributeError, match=r"use picture\.pixels\.shape"):
+        picture.shape  # noqa: B018
+    with pytest.raises(UsageError, match=r"not in an open file. PIL\.Image"):
+        picture.save(io.BytesIO())
+    with pytest.raises(UsageError, match="It is called sun here"):
+        orograph.render(dem, azdeg=315)
     assert not hasattr(picture, "_repr_html_")
 
 

@@ -77,6 +77,30 @@ NOT_HERE: dict[str, dict[str, str]] = {
 }  # fmt: skip
 """Options of the command line that are said otherwise in Python, by verb, and how."""
 
+ONLY_HERE: dict[str, dict[str, str]] = {
+    "": {
+        "terrain": "an argument", "source": "an argument", "url": "--output", "progress": "--quiet",
+        "storage_options": "GDAL's and fsspec's environment variables; a command line is read by others",
+    },
+    "build": {
+        "chunked": "--for chunked-lod,cells=32 says it; on a cluster, this is what each task is told of that",
+        "quadtin": "--for quadtin says it, likewise",
+    },
+    "bake": {"names": "--products", "options": "an option each"},
+    "compare": {"methods": "--method, --methods"},
+    "fetch": {"area": "--bbox, --at, --geojson"},
+    "light": {"data": "an argument", "cell": "the size of an array's cells; files know theirs"},
+    "manifest": {"files": "arguments", "path": "--output"},
+    "movie": {"tour": "--tour, --keys, --orbit"},
+    "render": {"view": "--view and the options of a camera", "depths": "of a series, whose pictures share them"},
+    "tessellate": {"view": "--view and the options of a camera"},
+    "view": {
+        "camera": "--view and the options of a camera",
+        "panels": "a window has room for them; a notebook's cell begins without",
+    },
+}  # fmt: skip
+"""Options in Python that the command line says otherwise or cannot mean, by verb, and why."""
+
 CAMERA = {"azimuth", "pitch", "distance", "lonlat", "look_at", "view_path", "fov", "projection"}
 """What a ``view`` says."""
 
@@ -102,6 +126,9 @@ def test_every_verb_is_a_function_with_its_options(verb: str) -> None:
     assert ("resolution" in names) == ("crs" in names) == ("resampling" in names) or verb == "synth"
     assert names >= NOT_HERE.get(verb, {}).keys(), "an excuse without an option"
     assert not NOT_HERE.get(verb, {}).keys() & inspect.signature(function).parameters.keys(), "an excuse for nothing"
+    rest = (inspect.Parameter.VAR_KEYWORD, inspect.Parameter.VAR_POSITIONAL)
+    only = {p.name for p in inspect.signature(function).parameters.values() if p.kind not in rest} - names
+    assert only - {*READING, *ONLY_HERE[""]} == ONLY_HERE.get(verb, {}).keys()
 
 
 @pytest.mark.parametrize("name", sorted({verb.replace("-", "_") for verb in VERBS} - {"demo", "measure"}))

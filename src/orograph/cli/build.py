@@ -120,6 +120,20 @@ if TYPE_CHECKING:
     metavar="N",
     help="With --update: versions to keep, including the new one; STORE@2 opens the second.  [default: 2]",
 )
+@click.option(
+    "--shard",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Samples along a side of a file of the store, a power of two.  [default: 2048, or less where memory is short]",
+)
+@click.option(
+    "--chunk",
+    type=click.IntRange(min=1),
+    default=256,
+    show_default=True,
+    metavar="N",
+    help="Samples along a side of what readers fetch at once, a power of two.",
+)
 @click.option("--part", metavar="I/N", help="Make only this part of the heights (for job arrays), such as 3/64.")
 @click.option("--finish", is_flag=True, help="Make the rest of a store whose parts are all there.")
 @cluster_options("Build", ", which share --max-memory")
@@ -152,6 +166,8 @@ def command(
     codec: str,
     max_error: str | float,
     as_json: bool,
+    shard: int | None,
+    chunk: int,
     part: str | None,
     finish: bool,
     workers: int | None,
@@ -226,6 +242,8 @@ def command(
             codec=codec,
             max_error=max_error,
             progress=progress,
+            shard=shard,
+            chunk=chunk,
             part=part,
             finish=finish,
             workers=workers,

@@ -16,7 +16,6 @@ from orograph.cli.camera import SIZES, Size
 from orograph.cli.options import FILE, progress_of, source_of
 from orograph.cli.sections import Verb
 from orograph.errors import OrographError
-from orograph.scene.sizes import dpi_of
 
 if TYPE_CHECKING:
     from orograph.verbs.compare import Comparison
@@ -93,7 +92,7 @@ def command(
     refine = {name: options[name] for name in refining.REFINE}
     found = compare(
         list(paths), views, flight=flight, judged=judged, methods=(*([every] if every else []), *method),
-        size=size, picture=picture, dpi=dpi_of(size), max_memory=max_memory, jobs=jobs, progress=progress,
+        size=size, picture=picture, max_memory=max_memory, jobs=jobs, progress=progress,
         **refine, **source_of(options, set(refining.REFINE)),
     )  # fmt: skip
     facts = _facts(found) | {"picture": picture, "seconds_in_all": round(time.perf_counter() - began, 3)}

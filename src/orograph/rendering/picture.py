@@ -29,10 +29,11 @@ if TYPE_CHECKING:
 
 
 ELSEWHERE = {
-    "savefig": "picture.save(path)",
+    **dict.fromkeys(("savefig", "to_png", "to_file", "write"), "picture.save(path)"),
+    **dict.fromkeys(("shape", "size", "width", "height"), "picture.pixels.shape"),
+    **dict.fromkeys(("to_image", "to_pil"), "PIL.Image.fromarray(picture.pixels)"),
     "imshow": "picture.plot(ax) or picture.show()",
     "to_numpy": "numpy.asarray(picture)",
-    "to_image": "PIL.Image.fromarray(picture.pixels)",
     "image": "picture.pixels",
     "array": "picture.pixels",
 }
@@ -146,6 +147,11 @@ class Picture:
         Raises:
             UsageError: the ending is unknown, or the resolution invalid. OutputError: the file cannot be written.
         """
+        if hasattr(path, "write"):
+            raise UsageError(
+                "A picture is saved under a path, not in an open file.",
+                remedy="PIL.Image.fromarray(picture.pixels).save(file, format) writes into files.",
+            )
         out = Path(path)
         kind = picture_format(out)
         check_dpi(dpi)

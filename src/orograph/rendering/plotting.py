@@ -39,9 +39,14 @@ def plot(picture: Picture, ax: Any = None, **options: Any) -> Any:
     Returns: the ``AxesImage``.
 
     Raises:
-        UsageError: matplotlib is not installed.
+        UsageError: matplotlib is not installed, or ``ax`` is no axes.
     """
     pyplot = _matplotlib()
+    if ax is not None and not hasattr(ax, "imshow"):
+        raise UsageError(
+            f"A picture is drawn on axes, not on a {type(ax).__name__}.",
+            remedy="Those of a figure are figure.subplots(), and pyplot.subplots() returns both.",
+        )
     height, width = picture.pixels.shape[:2]
     if ax is None:
         _, ax = pyplot.subplots(figsize=(width / DPI, height / DPI), layout="constrained")

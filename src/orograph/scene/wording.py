@@ -54,6 +54,7 @@ MEANT = {
     **dict.fromkeys(("contour", "isolines"), "contours"),
     **dict.fromkeys(("verbose", "quiet"), "progress"),
     **dict.fromkeys(("cellsize", "cell_size", "pixel_size"), "spacing"), **dict.fromkeys(("points", "markers"), "data"),
+    **dict.fromkeys(("azdeg", "altdeg", "altitude", "sun_azimuth", "sun_altitude", "angle_altitude"), "sun"),
     "camera": "view",
 }  # fmt: skip
 """Names of options in other tools, and their equivalents here."""

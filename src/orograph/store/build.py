@@ -50,7 +50,7 @@ from orograph.store.tins import ALL_LEGS as TIN_LEGS
 from orograph.store.typed import Building
 from orograph.store.versions import check_keep, prune, settle
 from orograph.store.versions import publish as publish_version
-from orograph.store.ways import BASE, READER, AtOnce, check_ways, executor_of, memory_of, sizes
+from orograph.store.ways import BASE, READER, AtOnce, check_sides, check_ways, executor_of, memory_of, sizes
 from orograph.store.writer import ShardWriter
 
 if TYPE_CHECKING:
@@ -144,7 +144,6 @@ def build(
             missing, or the store cannot be written (disk full).
         ReadError, UsageError: a source cannot be read or is not metric.
     """
-    # (One long function: two thirds of it are its options and their descriptions.)
     # (One function, though long: most of it is its options and what they mean.)
     from orograph.store import handing
     from orograph.store.adding import Needs, add, is_itself
@@ -198,6 +197,7 @@ def build(
         check_shareable(raster, final)  # before anything is removed
         jobs = jobs or (1 if dask is None else None)
     shard, jobs = sizes(raster.grid.shape, max_memory, jobs, shard, len(kinds))
+    check_sides(shard, chunk)
     keep_lattices = keep_source and bool(lattices_of(raster))
     coding = coding_of(raster, codec, max_error)
     needed = memory_of(raster.grid.shape, shard, jobs, len(kinds))

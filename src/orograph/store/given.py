@@ -8,7 +8,7 @@ from __future__ import annotations
 import inspect
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -310,7 +310,23 @@ def refused(given: Any, called: str) -> UsageError:
         got = f"a {type(given).__name__} of {' and '.join(kinds)}s"
     else:
         got = "None" if given is None else f"{type(given).__module__}.{type(given).__name__}".removeprefix("builtins.")
-    return UsageError(f"{called} takes {TAKES}; got {got}: {_short(given)}.")
+    return UsageError(f"{called} takes {TAKES}; got {got}: {_short(given)}.", remedy=_way_in(given))
+
+
+def _way_in(given: Any) -> str:
+    """How to get heights out of what often holds some; "" of anything else."""
+    kinds = {f"{kind.__module__.partition('.')[0]}.{kind.__name__}" for kind in type(given).__mro__}
+    if "pandas.DataFrame" in kinds:
+        return "Give its values, .to_numpy(), with transform= and crs=; or, of points, a path of a table."
+    if "rasterio.Band" in kinds:
+        return "Give its dataset, with band=."
+    if "rasterio.MemoryFile" in kinds:
+        return "Open it: .open()."
+    if isinstance(given, bytes) or hasattr(given, "read"):
+        return "Give its path; or, of bytes, rasterio.MemoryFile(…).open()."
+    if isinstance(given, Iterator):
+        return "Make a list of it: list(…)."
+    return ""
 
 
 def _short(given: Any) -> str:

@@ -34,6 +34,21 @@ class AtOnce(NamedTuple):
     task: int
 
 
+LEAST_CHUNK = 8
+"""Samples along a side of the smallest chunk."""
+
+
+def check_sides(shard: int, chunk: int) -> None:
+    """Raise UsageError unless shards and chunks are squares that a store can have."""
+    if chunk < LEAST_CHUNK or chunk & (chunk - 1):
+        raise UsageError(f"`chunk` must be a power of two, at least {LEAST_CHUNK}, not {chunk}.")
+    if shard < chunk or shard & (shard - 1):
+        raise UsageError(
+            f"`shard` must be a power of two, at least `chunk` ({chunk}), not {shard}.",
+            remedy="Make `chunk` smaller, or leave `shard` out: it follows from `max_memory`.",
+        )
+
+
 def check_ways(overwrite: bool, resume: bool, part: object, finish: bool, workers: int | None, dask: object) -> None:
     """Raise UsageError if modes of a build exclude each other."""
     if overwrite and resume:

@@ -22,12 +22,11 @@ from orograph.lod.registry import METHODS, Choice
 from orograph.output import check_folder
 from orograph.progress import Progress, Task
 from orograph.rendering.comparison import Panel, caption, panel_view, sheet, usual_views
-from orograph.rendering.metadata import check_dpi
 from orograph.rendering.picture import Picture, picture_format
 from orograph.reporting import reporting
 from orograph.scene.methods import MEMORY, made
 from orograph.scene.parts import check_exaggeration
-from orograph.scene.sizes import Size, size_of
+from orograph.scene.sizes import Size, dpi_of, size_of
 from orograph.store.opening import terrain as opened
 from orograph.store.terrain import Terrain
 from orograph.touring import Tour, moves
@@ -121,7 +120,6 @@ def compare(
     exaggeration: float = 1.0,
     size: Size | None = None,
     picture: str | os.PathLike[str] | None = None,
-    dpi: float | None = None,
     max_memory: Amount | None = None,
     jobs: int | None = None,
     progress: Progress | bool | None = None,
@@ -139,9 +137,8 @@ def compare(
         conservative: refuse methods that do not promise the tolerance.
         drape: the image whose colours a method's color-tolerance looks at; the picture shows it.
         exaggeration: how heights are stretched on the screen.
-        size: of the views, pixels; None: their own; of the default views, 1280 × 720.
+        size: of the views, pixels, or on paper ("16x9cm@300"); None: their own; of the default views, 1280 × 720.
         picture: also draw the first view's meshes side by side, into this file.
-        dpi: dots per inch to write into the picture's file; None: none.
         max_memory: bytes that heights may take. jobs: threads. progress: gets progress reports; False: silent.
 
     Returns:
@@ -166,7 +163,6 @@ def compare(
         if not drawn:
             raise UsageError("`picture` draws meshes, and rays make none.", remedy="Name a method that makes one.")
         picture_format(Path(picture))
-        check_dpi(dpi)
         check_folder(Path(picture))
     errors = kinds_of(need for choice in choices for need in choice.method.needs(choice.options))
     expect("compare")
@@ -194,7 +190,7 @@ def compare(
         if m.beyond is not None and goal.triangles is not None:
             heard.warn(not_enough(goal.triangles, name, m.beyond))
     if picture is not None:
-        _drawn(panels, means, view).save(picture, dpi=dpi)
+        _drawn(panels, means, view).save(picture, dpi=dpi_of(size))
     return found
 
 
