@@ -19,8 +19,8 @@ from typing import BinaryIO
 from orograph._hastened import hasten
 from orograph._needed import lacking, lines, types_of
 
-IDLE = 1.0
-"""Seconds without work after which it ends."""
+IDLE = 10.0
+"""Seconds without work after which it ends: starting another takes a second and a half of a processor."""
 
 LARGEST = 320 << 20
 """Bytes of memory after which it ends, for another to begin small."""
