@@ -53,6 +53,7 @@ def test_every_kernel_that_is_named_is_there() -> None:
         assert len(types_of(kernel.types)) == parameters, kernel
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("work", ["viewshed", "tin"])
 def test_what_is_named_is_what_a_work_calls(work: str) -> None:
     done = subprocess.run(

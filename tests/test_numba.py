@@ -277,6 +277,7 @@ SLICES = """
 """
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("more", ["", "import sys; sys.argv.append('hastened')"])
 def test_what_is_only_linked_works_alone_too(tmp_path: Path, more: str) -> None:
     """And with NumPy's functions, of which a hastened compiler makes no machine code."""
@@ -303,6 +304,7 @@ print(re.search(r"run_quicksort1B[0-9]*v([0-9]+)", code)[1], flush=True)
 """
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("processes", [["alone", "alone"], ["fork"]][: 1 + hasattr(os, "fork")])
 def test_no_two_processes_give_their_functions_the_same_names(tmp_path: Path, processes: list[str]) -> None:
     """Kernels of two processes are loaded side by side: one that asked for an order was given its values, sorted."""

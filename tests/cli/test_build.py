@@ -152,6 +152,7 @@ def test_ctrl_c_tells_how_to_resume(tmp_path):
         np.testing.assert_array_equal(store.open(tmp_path / "a.oro").read(0, 0, 6200, 0, 6200), file.read(1))
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("how", ["plain", "overwrite", "resume", "update"])
 def test_what_an_interrupted_build_says_can_be_done(tmp_path, monkeypatch, how):
     """The same command with what it says is accepted, and finishes."""

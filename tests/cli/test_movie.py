@@ -42,6 +42,7 @@ def frames_of(path):
         return stream, [(f.time, f.to_ndarray(format="rgb24")) for f in file.decode(stream)]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("ending", "codec", "near"), [("mp4", "h264", 4.0), ("webm", "vp9", 5.0), ("gif", "gif", 12)])
 def test_a_film_shows_the_frames(run, hilly, tmp_path, ending, codec, near):
     """What is decoded is what is drawn, in colour too: a wrong matrix, or range, differs by much more on the greens."""

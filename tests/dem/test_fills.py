@@ -39,6 +39,7 @@ def said(path: Path, heights: np.ndarray, dtype: str = "int16") -> list[str]:
     return sentences
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("shape", [(300, 340), (1500, 1400)])
 @pytest.mark.parametrize("value", [0, -1, -9999])
 @pytest.mark.parametrize("share", [0.02, 0.186, 0.6])

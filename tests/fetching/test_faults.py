@@ -36,12 +36,14 @@ def truth(california):
     return dem.heights
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("fault", ["429", "503", "drop", "cut", "slow"])
 def test_what_passes_is_tried_again(california, truth, fault):
     california.set(faults=[fault] * 3)
     np.testing.assert_array_equal(orograph.fetch(BOX, "copernicus-90").heights, truth)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("fault", ["503", "cut", "drop"])
 def test_reads_that_fail_now_and_then_are_made_again(california, truth, fault):
     california.set(faults=[fault, "", fault, "", "", fault], only_reads=True)

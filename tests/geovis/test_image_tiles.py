@@ -58,6 +58,7 @@ def small(path: str, memory: int = 10 << 20) -> Drape:
     return drape
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("overviews", [False, True])
 @pytest.mark.parametrize("crs", [32633, 4326])
 def test_they_show_what_the_whole_image_shows(tmp_path: Path, overviews: bool, crs: int) -> None:

@@ -153,6 +153,7 @@ class Stop(BaseException):
     """Stands for the end of the process."""
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("seed", range(6))
 def test_stopped_at_any_write(tmp_path, monkeypatch, path, seed):
     folder = tmp_path / "s"

@@ -57,6 +57,7 @@ def whole(tmp_path_factory):
     return of
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("case", ALONE)
 @pytest.mark.parametrize("count", [3, 40])
 def test_parts_make_what_one_process_makes(target, whole, case, count):

@@ -66,6 +66,7 @@ def instance_of(patch, t, legs):
     return found, min(c for c, _ in corners), min(r for _, r in corners)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_the_selection_is_the_reference_s(shape):
     rng = np.random.default_rng(shape)

@@ -125,6 +125,7 @@ def test_errors_are_kept_apart():
                 assert after <= max([before, *(1.002 * KAPPA * child for _, child in children)]) * (1 + 1e-6)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("legs", [4, 8, 16])
 def test_the_promise_is_kept_while_patches_grow(legs):
     rng = np.random.default_rng(legs)

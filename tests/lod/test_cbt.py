@@ -67,6 +67,7 @@ def test_the_pool_ends_at_the_mesh_of_the_heap(share):
         assert found == {(int(t.x), int(t.y), t.L, t.omega) for t in expected}
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_the_reference_s_from_view_to_view(shape, gaps):

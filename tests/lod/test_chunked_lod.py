@@ -66,6 +66,7 @@ def body(chunk):
     return chunk.triangles[: len(chunk.triangles) - chunk.skirt]
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.06])
 def test_meshes_are_the_reference_s(shape, gaps):

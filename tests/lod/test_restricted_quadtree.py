@@ -66,7 +66,7 @@ def reference(ground, view, exaggeration, tolerance, triangulation, cull, by_sid
 # ---- the reference -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.cases(6)
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("triangulation", [*KEPT, "unrestricted"])
 @pytest.mark.parametrize("shape", [s for s in plain.SHAPES if max(s) > 2])
 def test_mesh_is_the_reference_s(shape, triangulation):

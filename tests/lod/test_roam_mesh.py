@@ -81,6 +81,7 @@ def check(method: Roam) -> None:
     assert free == set(np.flatnonzero(nodes["state"] == mesh.FREE))
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("n", [1, 3, 5])
 def test_random_splits_and_merges_keep_the_mesh_sound_and_follow_fronts(n: int) -> None:
     method = make(n)

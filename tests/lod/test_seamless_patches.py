@@ -87,6 +87,7 @@ def test_a_patch_of_equal_edges_is_the_surface_of_a_level(q):
 # ---- the layout ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("shape", [(65, 65), (100, 77), (33, 200), (129, 40)])
 def test_the_layout_is_the_reference_s(shape):
     rng = np.random.default_rng(shape)

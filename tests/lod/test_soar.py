@@ -49,7 +49,7 @@ def south_up(heights) -> MemoryTerrain:
     return MemoryTerrain(heights, Grid(heights.shape, Affine(30, 0, 1e5, 0, 30, 2e6), None), "south up")
 
 
-@pytest.mark.cases(8)
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("metric, bound", [("anisotropic", anisotropic), ("isotropic", isotropic)])
 @pytest.mark.parametrize("shape", plain.SHAPES)
 def test_mesh_is_the_front_of_the_criterion(shape, metric, bound):

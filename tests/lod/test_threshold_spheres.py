@@ -28,7 +28,7 @@ from orograph.lod.threshold_spheres_pass import decide
 from orograph.viewpoint import Camera
 
 
-@pytest.mark.cases(4)
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("shape", plain.SHAPES)
 @pytest.mark.parametrize("gaps", [0.0, 0.15])
 def test_mesh_is_that_of_the_spheres_and_flights_lead_to_it(shape, gaps):
@@ -86,6 +86,7 @@ def test_random_flights_equal_fresh_starts(metric, seed, gaps, step, cull):
         assert plain.triangles_of(found) == plain.triangles_of(same)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("metric", ["anisotropic", "isotropic"])
 @pytest.mark.parametrize("gaps", [0.0, 0.1])
 def test_trees_that_grow_from_frame_to_frame_equal_fresh_starts(metric, gaps, monkeypatch):

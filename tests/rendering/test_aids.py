@@ -320,6 +320,7 @@ def test_panels_are_hit_between_their_heights_from_their_left_alone():
         np.testing.assert_array_equal(inner, [255, 0, 0])  # no light falls on it
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("exaggeration", [1.0, 3.0])
 @pytest.mark.parametrize("azimuth", [150, 200, 310])
 def test_walls_show_the_profile_in_the_datas_colours(exaggeration, azimuth):

@@ -45,6 +45,7 @@ NEEDS = [
 ]  # fmt: skip
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("needs", NEEDS, ids=lambda needs: "-".join(needs))
 def test_what_is_added_is_what_a_new_build_makes(heights: np.ndarray, needs: dict[str, Any], tmp_path: Path) -> None:
     place = built(heights, tmp_path / "a.oro")

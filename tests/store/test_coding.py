@@ -117,6 +117,7 @@ def test_any_window(built):
         np.testing.assert_array_equal(terrain.read(0, r0, r1, c0, c1), kept[r0:r1, c0:c1])
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("codec", CODECS)
 def test_the_bytes_depend_on_no_threads_and_no_interruption(tmp_path, monkeypatch, codec):
     how = {"codec": codec, "max_error": 0.1, **SIZES}

@@ -35,6 +35,7 @@ def same(found: orograph.Terrain, truth: orograph.Terrain, apart: float = 0.0) -
     np.testing.assert_allclose(heights(found), heights(truth), rtol=0, atol=apart)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_every_way_is_the_same_terrain(name: str, shared_data: Path) -> None:

@@ -24,7 +24,7 @@ def files(folder):
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-@pytest.mark.cases(4)
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("shape", [(700, 530), (513, 512), (640, 129), (1200, 66)])
 @pytest.mark.parametrize(("count", "kept"), [(1, {}), (3, {}), (3, {"codec": "progressive", "max_error": 0.05})])
 def test_parts_make_what_one_process_makes(tmp_path, shape, count, kept):

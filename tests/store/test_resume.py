@@ -76,6 +76,7 @@ def test_killed_at_random_moments(tmp_path):
         assert files(tmp_path / f"killed{trial}") == expected, f"seed {seed}, trial {trial}"
 
 
+@pytest.mark.cases(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_stopped_at_any_write(tmp_path, monkeypatch, whole, seed):
     rng = random.Random(seed)

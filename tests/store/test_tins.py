@@ -127,6 +127,7 @@ def test_patches_cover_their_triangles(shape):
         assert area.sum() == pytest.approx(inside, rel=0.08, abs=1.0)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_deviation_is_that_of_the_surface(shape):
     """Brute force over a fine net of places on each triangle's edges and at all samples; never more than is told."""

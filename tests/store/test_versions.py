@@ -177,6 +177,7 @@ class Cut(BaseException):
     """The end of the process."""
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("exchange", [True, False], ids=["exchanged", "renamed"])
 @pytest.mark.parametrize("at", range(1, 4))
 def test_kills_while_names_are_exchanged(area, monkeypatch, at, exchange):

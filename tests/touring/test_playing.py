@@ -90,6 +90,7 @@ def test_a_frame_is_the_picture_of_its_moment(ground):
     assert (film.picture(5).pixels != film.picture(12).pixels).any()
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("breaks", "given"), [("quantiles", None), ("quantiles", (0.0, 30.0)), ("jenks", None), ("equal", None)]
 )

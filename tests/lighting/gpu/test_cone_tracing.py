@@ -62,6 +62,7 @@ def test_the_bottom_of_an_endless_valley(slope):
     assert traced(h, radius=190.0)[30, 30] == pytest.approx(1 / math.sqrt(1 + slope * slope), abs=0.05)
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize(("radius", "depth"), [(15, 200), (15, 100), (8, 80), (25, 300), (5, 100)])
 def test_cylindrical_pits(radius, depth):
     """A = a² / (a² + H²) in the middle of the floor, its edge midway between samples. A cliff's top fills no more

@@ -103,6 +103,7 @@ def truth(small_real_ground: tuple[np.ndarray, np.ndarray]) -> Callable[[str | C
     return cast
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("rho", ["step", "linear", "root"])
 def test_real_ground_against_4096_rays(small_real_ground, truth, rho):
     h, linear = small_real_ground

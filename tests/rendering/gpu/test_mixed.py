@@ -113,6 +113,7 @@ def hold(device: Device, terrain: Terrain, count: int, seed: int = 1) -> None:
     assert left_out > 0 and ground > 0
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("name", [name for name in GROUNDS if name != "few samples"])
 def test_blocks_are_those_of_either(device: Device, name: str) -> None:
     """No pixel is lost where they meet, and no patch is left out that shows: whatever is drawn, one way drew it."""

@@ -160,6 +160,7 @@ def test_sampled_slopes_are_those_of_blended_heights(device: Device, terrain: Te
     assert (jumps["sampled"] > 20 * jumps["computed"]) == (pixels_per_cell > 100), jumps
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("turn", [0.0, 40.0, 200.0])
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_sampled_slopes_know_their_direction(device: Device, turn: float, mirrored: bool) -> None:

@@ -83,6 +83,7 @@ SCENES: dict[str, dict[str, Any]] = {
 }
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("name", SCENES)
 def test_pictures_are_the_same(device: Device, name: str) -> None:
     scene = seen(ground(), **SCENES[name])
@@ -91,6 +92,7 @@ def test_pictures_are_the_same(device: Device, name: str) -> None:
     assert usual.std() > 10
 
 
+@pytest.mark.cases(5)
 @pytest.mark.parametrize("name", SCENES)
 def test_compute_shaders_show_what_fragments_show(device: Device, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """As on hardware, and within the limits."""
