@@ -27,7 +27,7 @@ VERBS = {
     "demo": ["demo", "-o", "."],
     "build": ["build", "DEM", "-o", "a.oro"],
     "tessellate": ["tessellate", "DEM", "-o", "a.npz"],
-    "tin": ["tin", "DEM", "-o", "t.npz"],
+    "tin": ["tin", "DEM", "-o", "t.npz", "--max-error", "5"],
     "light, sky-view-factor": ["light", "DEM", "-o", "l.tif", "--product", "sky-view-factor"],
     "render, soar": ["render", "DEM", "-o", "r.png", "--method", "soar"],
     "compare, soar": ["compare", "DEM", "--method", "soar"],
