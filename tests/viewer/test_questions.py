@@ -177,7 +177,7 @@ def opened(truth: Truth, shared_data: Path, device: Any) -> Iterator[Analyst]:
     terrain = prepare([str(shared_data / DEM)])
     with pytest.MonkeyPatch.context() as patch:
         session = Session(terrain, size=(320, 240), tolerance=4.0, data=data, light="none", samples=1, water="none")
-        canvas = RenderCanvas(size=(900, 640))
+        canvas = RenderCanvas(size=(900, 900))  # (high enough for all of the panel Plot)
         window = Window(session, canvas, renderer_of(64 << 20), device=device)
         hand = Analyst(window, patch)
         hand.frames(3)
