@@ -6,6 +6,7 @@ import ast
 import importlib
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import click
@@ -24,15 +25,20 @@ WORD = re.compile(r"--[a-z-]+")
 """All of a string: a word of a command line that is put together, and no message."""
 
 
-def messages() -> Iterator[tuple[str, str]]:
+@cache
+def messages() -> tuple[tuple[str, str], ...]:
     """Every string in the library but docstrings, with where it is; what is filled in is X."""
+    return tuple(found())
+
+
+def found() -> Iterator[tuple[str, str]]:
     for path in SOURCES.rglob("*.py"):
         if "cli" in path.relative_to(SOURCES).parts or path == SOURCES / "scene/wording.py":
             continue
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        alone = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
-        inner = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
-        for node in ast.walk(tree):
+        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+        alone = {id(node.value) for node in nodes if isinstance(node, ast.Expr)}
+        inner = {id(part) for node in nodes if isinstance(node, ast.JoinedStr) for part in node.values}
+        for node in nodes:
             if id(node) in alone or id(node) in inner:
                 continue
             if isinstance(node, ast.JoinedStr):

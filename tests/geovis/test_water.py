@@ -262,9 +262,7 @@ def test_the_sea_reaches_into_firths_and_beyond_the_raster(seed):
     inland = corner.copy()
     inland[:9, 145:], inland[20:29, 20:35] = 30.5, 0.0  # as large, and not at a border: it may be anything
     assert not find_water(inland, 2000.0).any()
-    lifted, _ = coast(
-        seed, level=3.25
-    )  # lakes have no tides: an arm one sample wide is no water where 0 is not the sea
+    lifted, _ = coast(seed, level=3.25)  # an arm of a lake: only the sea reaches into what is one sample wide
     assert not find_water(lifted, 2000.0)[25, 55]
 
 

@@ -89,7 +89,7 @@ def test_compact_is_smaller_than_lorenzo_with_zstd():
 
 def test_codes_of_frequencies_take_the_fewest_bits():
     """Against all codes that three symbols can have."""
-    from orograph.store.compact_encode import LN2, WEIGHT, decided_codes
+    from orograph.store.codec_write import LN2, WEIGHT, decided_codes
 
     codes = np.indices((48, 48, 48)).reshape(3, -1)
     steps = np.diff(codes, axis=0)

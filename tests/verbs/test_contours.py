@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ import orograph
 from orograph.cli import cli
 from orograph.errors import OutputError, UsageError
 from orograph.verbs.contours import ContourLines, traced
-
-FUJI = Path(__file__).parents[3] / "shared/data/martini-fuji"
 
 
 @pytest.fixture(scope="module")
@@ -167,8 +164,7 @@ def test_no_crs_no_geojson(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_real_ground(tmp_path):
-    if not FUJI.is_dir():
-        pytest.skip("shared/data/martini-fuji is not there")
-    lines = traced(str(next(FUJI.glob("*.png"))), 100, encoding="mapbox", spacing=30)
+def test_real_ground(shared_data):
+    (fuji,) = (shared_data / "martini-fuji").glob("*.png")
+    lines = traced(str(fuji), 100, encoding="mapbox", spacing=30)
     assert lines.closed.mean() > 0.5 and len(lines) > 50

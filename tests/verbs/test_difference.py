@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import warnings
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from orograph.measuring import differing
 from orograph.measuring.order import HALF, floats, ordered, quantiles, upper_counts
 from orograph.verbs.difference import Difference
 
-SHARED = Path(__file__).parents[3] / "shared/data"
 UTM = "EPSG:32611"
 
 
@@ -271,10 +269,8 @@ def test_the_command_line(pair, tmp_path):
     assert ran.exit_code != 0 and "would overwrite A" in str(ran.exception)
 
 
-def test_a_published_difference():
-    folder = SHARED / "fortbragg-1m-dem-ortho"
-    if not folder.exists():
-        pytest.skip(f"{folder} is not here")
+def test_a_published_difference(shared_data):
+    folder = shared_data / "fortbragg-1m-dem-ortho"
     found = orograph.difference(folder / "elevation_2016.tif", folder / "elevation_2012.tif", progress=False)
     with rasterio.open(folder / "difference_2012_2016.tif") as file:
         assert np.array_equal(found.values, file.read(1), equal_nan=True)

@@ -215,7 +215,7 @@ def _expect(args: list[str]) -> None:
 
 def _compile_rest(quiet: bool) -> None:
     """After a machine's first run at a terminal, compile the other verbs' kernels in the background."""
-    if not sys.stderr.isatty() or "orograph.compiling" not in sys.modules:
+    if not sys.stderr.isatty() or "orograph.compiling" not in sys.modules:  # (nothing was compiled)
         return
     from orograph.compiling import compile_rest
 

@@ -17,14 +17,14 @@ from orograph.store.codec_head import (
     WORDS,
     full_weights,
 )
-from orograph.store.compact_contexts import cost_of, grouped, joined, token
-from orograph.store.compact_encode import (
+from orograph.store.codec_write import (
     decided_tables,
-    stream,
     symbol_of,
     write_mask,
+    write_stream,
     write_tables,
 )
+from orograph.store.compact_contexts import cost_of, grouped, joined, token
 from orograph.store.smallest_fit import fitted_shares, fitted_weights
 from orograph.store.smallest_look import factors_of, lines_of, look, parities_of
 from orograph.store.smallest_rows import (
@@ -260,7 +260,7 @@ def encode(numbers, classes):
     sizes = decided_tables(values, kinds, number, RARE, COARSE, depths, direct, found, codes)
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
     ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
-    p = stream(ordered, steps, ranges, depths, direct, found, words, states)
+    p = write_stream(ordered, steps, ranges, depths, direct, found, words, states)
     most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
     head[0], head[2], head[3] = VERSION, classes, number

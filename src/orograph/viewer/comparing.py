@@ -72,9 +72,7 @@ def rows(shown: ShownData | None, grid: Grid, points: Sequence[Point]) -> list[t
     return said
 
 
-def difference(
-    shown: ShownData, grid: Grid, points: Sequence[Point], first: Found, second: Found
-) -> Difference | None:  # fmt: skip
+def difference(shown: ShownData, grid: Grid, points: Sequence[Point], first: Found, second: Found) -> Difference | None:
     """How data differ between two points where they have these values; None: names have no difference."""
     if isinstance(first.value, str) or isinstance(second.value, str):
         return None

@@ -14,6 +14,7 @@ from orograph.viewer.wording import spoken
 
 if TYPE_CHECKING:
     from orograph.viewer.tools import Tools
+
 HINTS: dict[Kind, str] = {
     "pick": "Click a place, and another one to compare their data.",
     "profile": "Click points along a line; Backspace removes the last.",
