@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import kernel, leaf
+from orograph._numba import leaf
 from orograph.verify.ground import exists, unit_in_view
 from orograph.verify.strips import ceiling, compare, corners
 
@@ -56,22 +56,21 @@ def shares_length(x0, y0, x1, y1, column, row, half, shift):
     return compare(t0, d0, t1, d1) < 0.0, s0, s1, s2
 
 
-@kernel
-def look_beyond(ground, band, edges, members, lens, findings):
+@leaf
+def look_beyond(ground, first, last, edges, members, lens, points, scratch, findings):
     """Classify the ground directly beyond open edges, in the cells below the rows of a band.
 
     Args:
-        ground, lens: as for ``sweep``. band: (first, last) row.
-        members: the indices of the edges that touch the band.
+        ground, lens: as for ``sweep``. first, last: rows of the band.
+        members: the indices of the edges that touch the band. points, scratch: (16, 3) float64, polygons.
         findings: (n, 3) uint8 flags, set to 1: OF_MISSING, OF_HIDDEN, OF_SEEN.
     """
-    points, scratch = np.empty((16, 3), np.float64), np.empty((16, 3), np.float64)
     ends, shift = edges.ends, edges.shift
     for e in members:
         x0, y0, x1, y1, beyond = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3], ends[e, 4]
         if y0 > y1:
             x0, y0, x1, y1, beyond = x1, y1, x0, y0, -beyond
-        for row in range(max(ceiling(y0, 1 << shift) - 1, band[0]), min(y1 >> shift, band[1], ground.rows - 2) + 1):
+        for row in range(max(ceiling(y0, 1 << shift) - 1, first), min(y1 >> shift, last, ground.rows - 2) + 1):
             upper, lower = max(y0, row << shift), min(y1, (row + 1) << shift)
             if y0 == y1:
                 low, high = min(x0, x1), max(x0, x1)

@@ -24,8 +24,9 @@ from orograph.verify.beyond import OF_HIDDEN, OF_MISSING, OF_SEEN, OpenEdges, lo
 from orograph.verify.edges import classify_edges, lie_on_others
 from orograph.verify.frustum import Camera
 from orograph.verify.ground import Ground
-from orograph.verify.pieces import Worst, largest_on_pieces
+from orograph.verify.pieces import Cells, Workspace, Worst, largest_on_pieces, survey_cells
 from orograph.verify.report import Place, Report, place
+from orograph.verify.spans import tabulate
 from orograph.viewpoint import View
 
 COUNTED = {
@@ -90,9 +91,8 @@ def _judge(
 
     def judge_band(band: Band) -> list[_Part]:
         ground = band.read(terrain)
-        span = np.array([band.first, band.last])
         beside = np.flatnonzero((low <= band.last + 1) & (high >= band.first))
-        look_beyond(ground, span, edges, beside, camera.lens, findings)
+        look_beyond(ground, band.first, band.last, edges, beside, camera.lens, *np.empty((2, 16, 3)), findings)
         screens = spare.pop() if spare else Screens()
         parts = [
             judge_block(window, mesh, block, camera, screens, junctions, overlapping)
@@ -162,11 +162,19 @@ def judge_block(
 ) -> _Part:  # fmt: skip
     """Judge a block: the findings of the sweep, and the largest error on its pieces (if it exceeds the samples')."""
     screen = screens.take(block.last - block.first + 2, window.heights.shape[1])
-    found, table, planes = kernels.sweep(window, mesh.corners, block, camera.lens, screen, junctions, overlapping)
-    found = kernels.Found(*found)
+    count, found = len(block.members), kernels.Found.nothing()
+    memory = kernels.Memory.of(count, window.heights.shape[1])
+    table, planes = np.empty((count, 7), np.int64), np.empty((count, 5))
+    tabulate(mesh.corners, block.members, table, planes)
+    kernels.sweep(
+        window, mesh.corners, block, table, planes, camera.lens, screen, memory, found, junctions, overlapping
+    )
     worst = Worst(np.maximum(found.pixels[:1], 0.0), found.sample.astype(np.float64))
     if camera.lens.p1 > 0:  # in a plan there is no error
-        largest_on_pieces(window, block, mesh.corners.shift, table, planes, camera.lens, screen, worst)
+        cells = Cells.of(screen)
+        if survey_cells(window, block, camera.lens, screen, cells, worst.pixels[0]):
+            work = Workspace.empty()
+            largest_on_pieces(window, block, mesh.corners.shift, table, planes, camera.lens, cells, work, worst)
     return found, worst
 
 

@@ -24,7 +24,7 @@ from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation
 from orograph.verify.bands import bands, take_apart
 from orograph.verify.ground import existing_units, on_surface
-from orograph.verify.spans import ordered, span_row
+from orograph.verify.spans import span_row, tabulate
 from orograph.verify.strips import R0, R2, ceiling
 
 LEAF = 4
@@ -189,7 +189,8 @@ def deviations(ground, band, corners, members):
     heights, top, west, shift = ground.heights, ground.top, ground.west, corners.shift
     count, width = band[1] - band[0] + 1, heights.shape[1]
     lowest, highest = np.full((count, width), np.inf), np.full((count, width), -np.inf)
-    table, planes = ordered(corners, members)
+    table, planes = np.empty((members.shape[0], 7), np.int64), np.empty((members.shape[0], 5), np.float64)
+    tabulate(corners, members, table, planes)
     for k in range(members.shape[0]):
         first, last = max(ceiling(table[k, R0], 1 << shift), band[0]), min(table[k, R2] >> shift, band[1])
         for row in range(first, last + 1):

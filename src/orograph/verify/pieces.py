@@ -21,10 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf, linked
+from orograph._numba import inlined, leaf
 from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place, side
 from orograph.verify.ground import exists
 from orograph.verify.strips import C0, C1, C2, R0, R1, R2, corners
+from orograph.verify.sweep import Screen
 
 NEGLIGIBLE = 1e-6
 """Pixels: errors that are not searched for."""
@@ -47,6 +48,13 @@ class Cells(NamedTuple):
     visible: NDArray[np.int32]
     allowed: NDArray[np.float64]
 
+    @classmethod
+    def of(cls, screen: Screen) -> Cells:
+        """None yet, for a block on the screen."""
+        rows, columns = screen.w.shape
+        suspects, visible = np.zeros((2, rows - 1, columns), np.int32)
+        return cls(suspects, visible, screen.w)
+
 
 class Worst(NamedTuple):
     """The largest error so far: (1,) float64 pixels, (2,) float64 its column and row."""
@@ -56,25 +64,29 @@ class Worst(NamedTuple):
 
 
 class Workspace(NamedTuple):
-    """Two polygons, (16, PARTS) float64."""
+    """Two polygons, (16, PARTS) float64, and what ``cut_cells`` finds, (3, 2) int64."""
 
     polygon: NDArray[np.float64]
     other: NDArray[np.float64]
+    cuts: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls) -> Workspace:
+        """For ``largest_on_pieces``."""
+        polygon, other = np.empty((2, 16, PARTS))
+        return cls(polygon, other, np.empty((3, 2), np.int64))
 
 
-@kernel
-def largest_on_pieces(ground, block, shift, table, planes, lens, screen, worst):
+@leaf
+def largest_on_pieces(ground, block, shift, table, planes, lens, cells, work, worst):
     """Raise ``worst`` to the largest error on the pieces in a block's cells.
 
     Args:
-        ground, block, lens: as for ``sweep``. screen, table, planes: from it.
+        ground, block, lens, table, planes: as for ``sweep``. cells: from ``survey_cells``.
     """
-    cells = survey_cells(ground, block, lens, screen, worst.pixels[0])
-    work = Workspace(np.empty((16, PARTS)), np.empty((16, PARTS)))
-    cuts = np.empty((3, 2), np.int64)
-    if cells.visible[:, -1].sum() == 0:
-        return
-    any_suspect = cells.suspects[:, -1].sum() > 0
+    cuts, any_suspect = work.cuts, False
+    for i in range(cells.suspects.shape[0]):
+        any_suspect = any_suspect or cells.suspects[i, cells.suspects.shape[1] - 1] > 0
     for k in range(table.shape[0]):
         edges = cutting_edges(table, k, shift)
         if edges == 0 and not any_suspect:
@@ -100,12 +112,11 @@ def largest_on_pieces(ground, block, shift, table, planes, lens, screen, worst):
                         judge_cell(ground, table, planes, k, shift, ground.west + j, row, lens, work, worst)
 
 
-@linked
-def survey_cells(ground, block, lens, screen, limit):
-    """Find the cells that may hold an error of more than ``limit`` pixels."""
+@leaf
+def survey_cells(ground, block, lens, screen, cells, limit):
+    """Find the cells that may hold an error of more than ``limit`` pixels; whether any is in view."""
     codes, f, g, w = screen
-    rows, width = block.last + 1 - block.first, ground.heights.shape[1]
-    cells = Cells(np.zeros((rows, width), np.int32), np.zeros((rows, width), np.int32), w)
+    rows, width, any_visible = block.last + 1 - block.first, ground.heights.shape[1], False
     limit, c = max(limit, NEGLIGIBLE), abs(lens.matrix[2, 2])
     for i in range(min(rows, ground.rows - 1 - block.first)):
         suspects, visible = 0, 0
@@ -124,7 +135,8 @@ def survey_cells(ground, block, lens, screen, limit):
                     allowed = near * limit / (fast + c * limit)
             w[i, j] = allowed  # no later cell has this corner
             cells.suspects[i, j + 1], cells.visible[i, j + 1] = suspects, visible
-    return cells
+        any_visible = any_visible or visible > 0
+    return any_visible
 
 
 @leaf

@@ -11,8 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf, linked
+from orograph._numba import inlined, leaf
 from orograph.verify.strips import BEND, C0, C1, C2, R0, R1, R2, ceiling, compare, extent, order, sides
+
+Ints = NDArray[np.int64]
 
 
 class Corners(NamedTuple):
@@ -32,58 +34,53 @@ class Corners(NamedTuple):
     shift: int
 
 
-@kernel
-def bucket(corners, signs, size, bands):
+def bucket(corners: Corners, signs: NDArray[np.int8], size: int, bands: int) -> tuple[Ints, Ints]:
     """The triangles with area that touch each band of ``size`` rows or the row below it.
 
     Returns:
         (start (bands + 1,), members): band b's are ``members[start[b]:start[b + 1]]``, ordered by the cell of their
         first corner, by row, then column.
     """
+    top, left, bottom = np.empty((3, len(corners.triangles)), np.int64)
+    find_cells(corners, top, left, bottom)
+    order = _by(top, _by(left, np.flatnonzero(signs)))
+    first, last = np.maximum(top - 1, 0) // size, bottom // size
+    begun, ended = (np.bincount(band[order] + k, minlength=bands + 1) for k, band in enumerate((first, last)))
+    start = np.zeros(bands + 1, np.int64)
+    np.cumsum(np.cumsum(begun - ended)[:bands], out=start[1:])
+    members = np.empty(start[-1], np.int64)
+    distribute(order, first, last, start[:-1].copy(), members)
+    return start, members
+
+
+@leaf
+def find_cells(corners, top, left, bottom):
+    """Fill in the row and column of the cell of each triangle's first corner, and the row of its last."""
     triangles, shift = corners.triangles, corners.shift
-    m = triangles.shape[0]
-    last_row, last_col = 0, 0
-    for i in range(corners.y.shape[0]):
-        last_row, last_col = max(last_row, corners.y[i] >> shift), max(last_col, corners.x[i] >> shift)
-    top, left, bottom = np.empty(m, np.int64), np.empty(m, np.int64), np.empty(m, np.int64)
-    for t in range(m):
+    for t in range(triangles.shape[0]):
         top[t], left[t], bottom[t] = np.int64(1) << 62, 0, 0
         for k in range(3):
             row, column = corners.y[triangles[t, k]] >> shift, corners.x[triangles[t, k]] >> shift
             if row < top[t] or (row == top[t] and column < left[t]):
                 top[t], left[t] = row, column
             bottom[t] = max(bottom[t], row)
-    ordered_by_cell = counted(top, counted(left, np.arange(m), last_col), last_row)
-    start = np.zeros(bands + 1, np.int64)
-    for t in range(m):
-        if signs[t] != 0:
-            for b in range(max(top[t] - 1, 0) // size, bottom[t] // size + 1):
-                start[b + 1] += 1
-    for b in range(bands):
-        start[b + 1] += start[b]
-    fill = start.copy()
-    members = np.empty(start[bands], np.int64)
-    for t in ordered_by_cell:
-        if signs[t] != 0:
-            for b in range(max(top[t] - 1, 0) // size, bottom[t] // size + 1):
-                members[fill[b]] = t
-                fill[b] += 1
-    return start, members
 
 
-@linked
-def counted(values, indices, last):
-    """``indices`` sorted by their values, 0 … ``last``, in a stable order."""
-    place_at = np.zeros(last + 2, np.int64)
-    for i in indices:
-        place_at[values[i] + 1] += 1
-    for v in range(last + 1):
-        place_at[v + 1] += place_at[v]
-    result = np.empty(indices.shape[0], np.int64)
-    for i in indices:
-        result[place_at[values[i]]] = i
-        place_at[values[i]] += 1
+def _by(values: Ints, indices: Ints) -> Ints:
+    """Indices sorted by their values, which are small, in a stable order."""
+    start, result = np.zeros(values.max(initial=0) + 2, np.int64), np.empty_like(indices)
+    start[1:] = np.cumsum(np.bincount(values[indices], minlength=len(start) - 1))
+    distribute(indices, values, values, start, result)
     return result
+
+
+@leaf
+def distribute(indices, first, last, fill, result):
+    """Put each index i into the groups first[i] … last[i]; ``fill`` is where the next one of each group goes."""
+    for i in indices:
+        for group in range(first[i], last[i] + 1):
+            result[fill[group]] = i
+            fill[group] += 1
 
 
 @inlined
@@ -99,10 +96,10 @@ GAPS = (1050113, 262913, 65921, 16577, 4193, 1073, 281, 77, 23, 8, 1)
 
 
 @leaf
-def sort_by(keys, items):
-    """Shellsort of the keys, together with their items."""
+def sort_by(keys, items, count):
+    """Shellsort of the first ``count`` keys, together with their items."""
     for gap in GAPS:
-        for i in range(gap, len(keys)):
+        for i in range(gap, count):
             key, item, j = keys[i], items[i], i
             while j >= gap and keys[j - gap] > key:
                 keys[j], items[j] = keys[j - gap], items[j - gap]
@@ -121,16 +118,14 @@ def sort_west_to_east(table, active, begin, end, y0, y1):
         active[j] = k
 
 
-@linked
-def ordered(corners, members):
-    """The members as a table of triangles (``strips``), and their planes (k, 5) float64.
+@leaf
+def tabulate(corners, members, table, planes):
+    """Fill the table of the members' triangles (``strips``), (k, 7) int64, and that of their planes, (k, 5) float64.
 
     A plane is the height at the first corner, its slopes along columns and rows, and the column and row of that corner.
     """
     triangles, x, y, vertices = corners.triangles, corners.x, corners.y, corners.vertices
-    count = members.shape[0]
-    table, planes = np.empty((count, 7), np.int64), np.empty((count, 5), np.float64)
-    for k in range(count):
+    for k in range(members.shape[0]):
         t = members[k]
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
         order(x, y, a, b, c, table, k)
@@ -145,7 +140,6 @@ def ordered(corners, members):
         planes[k, 0] = vertices[a, 2]
         planes[k, 1], planes[k, 2] = (bz * cy - cz * by) / area, (cz * bx - bz * cx) / area
         planes[k, 3], planes[k, 4] = vertices[a, 0], vertices[a, 1]
-    return table, planes
 
 
 @leaf

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from orograph._numba import inlined, kernel, leaf, linked
+from orograph._numba import inlined, leaf
 from orograph.verify.frustum import drop_factor, outcode, pixel_factor, place
 from orograph.verify.gaps import sweep_strip
 from orograph.verify.ground import existing_units, on_surface, unit_in_view
-from orograph.verify.spans import Line, find_junctions, ordered, sort_by, sort_west_to_east, span_row, west_of
+from orograph.verify.spans import Line, find_junctions, sort_by, sort_west_to_east, span_row, west_of
 from orograph.verify.strips import R0, R2, Strip, sides
 
 SAMPLES, UNCOVERED, HOLES, BRIDGED, DUPLICATES, WRONG_HEIGHTS, COUNTS = range(7)
@@ -80,6 +80,47 @@ class Found(NamedTuple):
     places: NDArray[np.int64]
     pixels: NDArray[np.float64]
     sample: NDArray[np.int64]
+
+    @classmethod
+    def nothing(cls) -> Found:
+        """Before the sweep."""
+        pixels = np.array([-1.0, 0.0])
+        return cls(np.zeros(COUNTS, np.int64), np.zeros((COUNTS, 2), np.int64), pixels, np.zeros(2, np.int64))
+
+
+class Memory(NamedTuple):
+    """Working memory of a sweep. (A kernel that makes no arrays compiles in two thirds of the time.)
+
+    Attributes:
+        active, merged (k,) int64, middle (k,) float64: triangles that meet a strip, and their middles.
+        lowest, highest: (w,) float64, the mesh's heights at the samples of a row.
+        over, under: (w + 1,) uint8, which unit triangles exist above and below a row.
+        marks: (w,) uint8, of the cells below a row. before: (w + 1,) int64, see ``Line``.
+        points, scratch: (16, 3) float64, polygons.
+    """
+
+    active: NDArray[np.int64]
+    merged: NDArray[np.int64]
+    middle: NDArray[np.float64]
+    lowest: NDArray[np.float64]
+    highest: NDArray[np.float64]
+    over: NDArray[np.uint8]
+    under: NDArray[np.uint8]
+    marks: NDArray[np.uint8]
+    before: NDArray[np.int64]
+    points: NDArray[np.float64]
+    scratch: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, count: int, width: int) -> Memory:
+        """For ``count`` triangles in a window of ``width`` columns."""
+        over, under = np.zeros((2, width + 1), np.uint8)
+        points, scratch = np.empty((2, 16, 3))
+        return cls(
+            np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count), np.full(width, np.inf),
+            np.full(width, -np.inf), over, under, np.zeros(width, np.uint8), np.zeros(width + 1, np.int64),
+            points, scratch,
+        )  # fmt: skip
 
 
 @inlined
@@ -155,9 +196,11 @@ def judge_vertices(ground, corners, block, r, line, found):
             note(found, WRONG_HEIGHTS, x, y)
 
 
-@linked
-def begin(table, block, active):
+@leaf
+def begin(table, block, active, middle):
     """Put the triangles that meet the strip below the block's first row into ``active``, from west to east.
+
+    ``middle`` becomes the sum of their west sides' columns at both rows of the strip.
 
     Returns: their number, and the first triangle that begins on or below that row.
     """
@@ -168,11 +211,10 @@ def begin(table, block, active):
             n += 1
         head += 1
     if n > 0:
-        middle = np.empty(n, np.float64)
         for i in range(n):
             wn, wstep, wd, _, _, _ = sides(table, active[i], y, block.rows[1])
             middle[i] = (2 * wn + wstep) / (2.0 * wd)
-        sort_by(middle, active)
+        sort_by(middle, active, n)
         sort_west_to_east(table, active, 0, n, y, block.rows[1])
     return n, head
 
@@ -219,32 +261,21 @@ def count_marks(ground, block, row, marks, lens, points, scratch, found, shift):
         marks[j] = 0
 
 
-@kernel
-def sweep(ground, corners, block, lens, screen, junctions, overlapping):
+@leaf
+def sweep(ground, corners, block, table, planes, lens, screen, memory, found, junctions, overlapping):
     """Judge a block of the terrain.
 
     Args:
         ground: the samples of the block, and those of the rows and columns beside it.
-        corners, block, lens: see their classes.
-        screen: to be filled.
+        corners, block, lens: see their classes. table, planes: of the block's members (``spans.tabulate``).
+        screen, found: to be filled.
         junctions (n,), overlapping (m,): uint8 flags of vertices and triangles, set to 1.
-
-    Returns:
-        (the findings, the table of triangles, their planes)
     """
-    shift, width, count = corners.shift, ground.heights.shape[1], block.members.shape[0]
-    table, planes = ordered(corners, block.members)
-    found = Found(np.zeros(COUNTS, np.int64), np.zeros((COUNTS, 2), np.int64), np.zeros(2), np.zeros(2, np.int64))
-    found.pixels[0] = -1.0
-    active, merged = np.empty(count, np.int64), np.empty(count, np.int64)
-    lowest, highest = np.empty(width, np.float64), np.empty(width, np.float64)
-    for j in range(width):
-        lowest[j], highest[j] = np.inf, -np.inf
-    over, under, marks = np.zeros(width + 1, np.uint8), np.zeros(width + 1, np.uint8), np.zeros(width, np.uint8)
-    points, scratch = np.empty((16, 3), np.float64), np.empty((16, 3), np.float64)
-    line = Line(corners.x, block.vertices, np.zeros(width + 1, np.int64), ground.west, shift)
+    shift, count = corners.shift, block.members.shape[0]
+    active, merged, middle, lowest, highest, over, under, marks, before, points, scratch = memory
+    line = Line(corners.x, block.vertices, before, ground.west, shift)
     missing, projected = 0, block.first
-    n, head = begin(table, block, active)
+    n, head = begin(table, block, active, middle)
     if block.first > 0:
         existing_units(ground, block.first - 1, over)
     for r in range(block.rows.shape[0]):
@@ -252,7 +283,7 @@ def sweep(ground, corners, block, lens, screen, junctions, overlapping):
         row, on_samples = y >> shift, y & ((1 << shift) - 1) == 0
         if on_samples:
             missing = 0
-            for j in range(width + 1):
+            for j in range(under.shape[0]):
                 under[j] = 0
             if row + 1 < ground.rows:
                 missing = existing_units(ground, row, under)
@@ -288,4 +319,3 @@ def sweep(ground, corners, block, lens, screen, junctions, overlapping):
         )
         if strip.y1 == (row + 1) << shift:
             count_marks(ground, block, row, marks, lens, points, scratch, found, shift)
-    return found, table, planes
