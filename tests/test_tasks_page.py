@@ -23,6 +23,7 @@ def test_there_are_ten() -> None:
     assert len(TASKS) == 10
 
 
+@pytest.mark.stress
 def test_they_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("matplotlib")
     write_jacksboro(tmp_path)

@@ -105,6 +105,7 @@ def test_exact_for_the_profiles_of_its_lines(seed, rows, cols, azimuth, ratio, t
     np.testing.assert_allclose(horizon(h, linear, azimuth), brute(h, linear, azimuth), atol=3e-6, rtol=3e-6)
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("azimuth", [0, 45, 90, 135, 180, 225, 270, 315, 17, 200.5, 22.5])
 def test_many_blocks_of_lines_agree_with_brute_force(azimuth):
     h = np.random.default_rng(3).normal(size=(41, 53)).cumsum(0).astype(np.float32)

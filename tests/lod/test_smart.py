@@ -53,6 +53,7 @@ def as_drawn(ground, tree):
 # ---- the reference -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.cases(3)
 @pytest.mark.parametrize("shape", [(65, 65), (40, 70), (17, 17), (9, 30), (2, 2), (3, 5)])
 def test_mesh_is_the_reference_s(shape):
     rng = np.random.default_rng(shape)

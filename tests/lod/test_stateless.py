@@ -41,7 +41,7 @@ def test_mesh_is_the_reference_s(shape, gaps):
                 assert plain.triangles_of(found) == plain.triangles_of(soar.refine(view, tolerance=tolerance))
 
 
-@pytest.mark.cases(1)
+@pytest.mark.stress
 @pytest.mark.parametrize("shape", [(17, 17), (14, 19)])
 def test_every_budget_is_kept_by_a_valid_mesh(shape):
     rng = np.random.default_rng(shape)

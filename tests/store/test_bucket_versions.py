@@ -411,7 +411,8 @@ class Ended(BaseException):
     """Stands for the end of the process."""
 
 
-@pytest.mark.parametrize("when", ["heights/1/", *(pytest.param(each, marks=pytest.mark.stress) for each in MORE)])
+@pytest.mark.stress
+@pytest.mark.parametrize("when", ["heights/1/", *MORE])
 def test_an_update_that_is_killed_leaves_the_old_version_and_goes_on(area, tmp_path, monkeypatch, when):
     from orograph.store.bucket import BucketStorage
 

@@ -100,6 +100,7 @@ def test_workers_make_what_follows_from_heights(tmp_path, client, monkeypatch):
     assert {"heights", "source", "errors", "patches", "chunks"} <= set(done)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("area", [{}, {"bbox": (15.0005, -0.0005, 15.006, 0.007)}], ids=["whole", "an area"])
 def test_workers_grid_points_as_one_process_does(tmp_path, client, area):
     rng = np.random.default_rng(4)

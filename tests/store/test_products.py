@@ -42,6 +42,7 @@ def test_builds_make_all_kinds_but_those_put_in_later(whole):
 LONG = [pytest.param(way, marks=pytest.mark.stress) for way in ("threads", "workers", "parts, then threads")]
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("way", ["parts, then workers", *LONG])
 def test_all_products_have_the_bytes_of_one_thread(whole, tmp_path, way, client):  # noqa: F811
     dem, expected = whole

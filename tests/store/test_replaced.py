@@ -27,6 +27,7 @@ READS = {
 }
 
 
+@pytest.mark.cases(4)
 @pytest.mark.parametrize("seen", [True, False], ids=["read before", "first read"])
 @pytest.mark.parametrize("read", READS.values(), ids=READS)
 def test_the_next_read_says_so(tmp_path, read, seen):

@@ -120,6 +120,7 @@ def files(store: Path) -> dict[str, bytes]:
     return {str(path.relative_to(store)): path.read_bytes() for path in store.rglob("*") if path.is_file()}
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize("example", [True, pytest.param(False, marks=pytest.mark.stress)], ids=["example", "fractal"])
 def test_a_killed_store_is_finished_to_the_same_bytes(
     lidar: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, example: bool

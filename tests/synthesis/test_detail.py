@@ -97,6 +97,7 @@ def test_the_datas_own_samples_stay_and_levels_nest(coarse: orograph.Terrain, de
     assert detailed.grid.bounds() != coarse.grid.bounds() and detailed.height_range == coarse.height_range
 
 
+@pytest.mark.cases(1)
 def test_a_window_is_the_same_wherever_it_begins(anew: Callable[[], Detailed]) -> None:
     rng = np.random.default_rng(2)
     part = anew().read(0, 0, 80, 0, 120)

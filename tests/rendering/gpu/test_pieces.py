@@ -219,7 +219,7 @@ def test_a_tile_that_cannot_be_read_is_told(device: Device, monkeypatch: pytest.
     renderer.close()
 
 
-@pytest.mark.cases(4)
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     "how", [{}, {"wireframe": True}, {"contours": Contours(50.0, labels=False)}, {"normals": "faces"}]
 )
