@@ -207,6 +207,29 @@ def test_a_hastened_compiler_tells_numbas_options_apart(tmp_path: Path) -> None:
     assert run(code, tmp_path) == ""
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Each module is loaded by a copy of one process.")
+def test_a_hastened_compiler_loads_the_module_of_any_kernel(tmp_path: Path) -> None:
+    """Whichever is first, and all in turn. (What it could not load, the process that asked would compile silently.)"""
+    code = """
+    import importlib, os
+    from orograph._hastened import hasten
+    from orograph._needed import lines
+    hasten()
+    import numba
+    modules = list(dict.fromkeys(kernel.module for _, kernel in lines()))
+    for module in modules:
+        if os.fork() == 0:
+            importlib.import_module(module)
+            os._exit(7)
+        assert os.waitstatus_to_exitcode(os.wait()[1]) == 7, module
+    for module in modules:
+        importlib.import_module(module)
+    import orograph.store
+    assert orograph.store.build.__module__ == "orograph.store.build"
+    """
+    assert run(code, tmp_path) == ""
+
+
 def test_a_hastened_compiler_finds_the_same_types_and_variables(tmp_path: Path) -> None:
     """Also the second time, when it remembers them."""
     code = """

@@ -18,7 +18,7 @@ from orograph._needed import Kernel
 if TYPE_CHECKING:
     import subprocess  # loaded late, as pickle is: the command line starts without them
 
-MOST = 2
+MOST = 2 if (os.cpu_count() or 1) < 4 else 3
 """Processes at once: each takes up to 350 MiB."""
 
 

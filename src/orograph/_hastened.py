@@ -10,6 +10,7 @@ from __future__ import annotations
 import gc
 import importlib.util
 import sys
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -30,14 +31,15 @@ def hasten() -> None:
 
 
 class _LatePackage(ModuleType):
-    """A package of ours whose ``__init__`` runs when something is taken from it."""
+    """A package of ours whose ``__init__`` runs when something that it names is taken from the package."""
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__") or "_begun" in vars(self):
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        self._begun = True
         loader = self.__spec__.loader if self.__spec__ else None
-        assert loader is not None
+        assert isinstance(loader, SourceFileLoader)
+        code = loader.get_code(self.__name__)
+        if name.startswith("__") or "_begun" in vars(self) or code is None or name not in code.co_names:
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")  # perhaps one of its modules
+        self._begun = True
         loader.exec_module(self)
         return getattr(self, name)
 
@@ -53,6 +55,7 @@ def _load_packages_late() -> None:
             sys.modules[name] = package = _LatePackage(name)
             package.__spec__, package.__path__, package.__file__ = spec, [str(init.parent)], str(init)
             package.__package__ = name
+            setattr(sys.modules[root.name], init.parent.name, package)
 
 
 def _compare_options_that_are_set() -> None:

@@ -117,6 +117,7 @@ class Clipmap(Method):
         "clipmap", "nested rings around the eye, each twice as coarse as the one within it, filled as it moves",
         "Losasso & Hoppe 2004; Asirvatham & Hoppe 2005", "rings", ClipmapOptions,
         lambda options: options.rings == "promise", incremental=True,
+        invents=lambda options: options.rings != "promise",
     )  # fmt: skip
 
     def __init__(self, *args: Any, **given: Any) -> None:

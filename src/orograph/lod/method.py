@@ -133,6 +133,7 @@ class MethodInfo:
         conservative: whether its bound is promised with these options.
         incremental: whether a frame continues from the previous one. goals: those that it supports.
         conforming: whether its meshes have no T-junctions and no cracks.
+        invents: whether with these options it draws detail beyond the data, whose errors nobody knows.
     """
 
     name: str
@@ -144,6 +145,7 @@ class MethodInfo:
     incremental: bool = False
     goals: tuple[GoalName, ...] = GOALS
     conforming: bool = True
+    invents: Callable[[Any], bool] = lambda options: False
 
     def check_goal(self, goal: GoalName) -> None:
         """Raise UsageError if the method does not support such a goal."""

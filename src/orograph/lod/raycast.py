@@ -44,7 +44,7 @@ class RayCast(Method):
     info = MethodInfo(
         "raycast", "no mesh: rays against the samples of nested windows, each as coarse as the tolerance allows",
         "Tevs, Ihrke & Seidel 2008, sec. 3: maximum mipmaps", "rays", RayCastOptions, lambda _: True,
-        goals=("tolerance",),
+        goals=("tolerance",), invents=lambda _: True,
     )  # fmt: skip
 
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> RayWindows:

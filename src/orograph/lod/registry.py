@@ -72,6 +72,11 @@ class Choice:
         """Whether its bound is promised."""
         return self.info.conservative(self.options)
 
+    @property
+    def invents(self) -> bool:
+        """Whether it draws detail beyond the data."""
+        return self.info.invents(self.options)
+
     def __str__(self) -> str:
         return ",".join([self.info.name, *(f"{key}={text}" for key, text in changed(self.options).items())])
 

@@ -307,7 +307,7 @@ class Surface:
         object.__setattr__(self, "detail", detail_of(self.detail))
         check(self, CALLED)
         check_exaggeration(self.exaggeration)
-        if self.detail and not _invents(self.method):
+        if self.detail and not chosen(self.method, "cpu").invents:
             raise UsageError(
                 "`detail` is drawn only by rays, or by clipmaps as printed: other methods need errors, which "
                 "invented detail does not have.",
@@ -389,12 +389,3 @@ def check_options(options: Mapping[str, Any]) -> None:
     """
     for part, values in by_part(options).items():
         PARTS[part](**{name: OPTIONS[name].worded(value) for name, value in values.items()})
-
-
-def _invents(method: str) -> bool:
-    """Whether a method draws detail beyond the data."""
-    name = method.partition(",")[0]
-    if name != "clipmap":
-        return name in ("auto", AUTO["cpu"])
-    choice = chosen(method, "cpu")
-    return not choice.info.conservative(choice.options)

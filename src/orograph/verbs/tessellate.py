@@ -33,6 +33,9 @@ from orograph.viewpoint import Camera, View
 if TYPE_CHECKING:
     from orograph.verify import Report
 
+METHOD = "soar"
+"""The method, unless another is asked for."""
+
 
 @dataclass(frozen=True, slots=True)
 class Triangulated:
@@ -58,7 +61,7 @@ def tessellate(
     terrain: Any,
     view: View | str | os.PathLike[str] | None = None,
     *,
-    method: str = "soar",
+    method: str = METHOD,
     tolerance: float | None = None,
     triangles: int | None = None,
     seconds: float | None = None,
@@ -125,7 +128,7 @@ def triangulate(
     if output is not None:
         mesh_format(os.fspath(output))
         check_folder(Path(output))
-    if choice.info.name == "soar":
+    if choice.info.name == METHOD:  # whose kernels are known to be needed
         expect("tessellate")
     errors = kinds_of(choice.method.needs(choice.options))
     ground = opened(
