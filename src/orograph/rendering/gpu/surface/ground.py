@@ -12,7 +12,7 @@ only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -38,7 +38,7 @@ from orograph.rendering.gpu.surface.chunks import ChunkPass, Chunks, DecodedChun
 from orograph.rendering.gpu.surface.clipmap import ClipPass, HeldRings, ready_of
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
-from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.meshes import MeshPass, Ready, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixing
 from orograph.rendering.gpu.surface.mixer import Mixer
 from orograph.rendering.gpu.surface.patches import PatchPass
@@ -231,11 +231,12 @@ class Ground:
         self._sloped = bool(left.slopes)
         self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
 
-    def _compiling(self, ready: Any) -> Any:
+    def _compiling(self, ready: Ready) -> Ready:
         """What makes windows ready, in the thread that selects them, and first compiles what casts rays at them."""
 
-        def both(selection: Any, again: Any) -> Any:
-            self._rays.compile(selection.surface, self._sloped)
+        def both(selection: Any, again: Callable[[float], Any]) -> Selection:
+            block = selection.block if isinstance(selection, PatchesAndRays) else None
+            self._rays.compile(selection.surface, self._sloped, block)
             return ready(selection, again)
 
         return both

@@ -140,11 +140,19 @@ class RayPass:
             CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(computes),
         )  # fmt: skip
 
-    def compile(self, surface: RaySurface, slopes: bool) -> None:
-        """Compile the pipelines that cast all rays, so that the first frame need not; from any thread."""
+    def compile(self, surface: RaySurface, slopes: bool, side: int | None = None) -> None:
+        """Compile the pipelines that cast all rays, so that the first frame need not; from any thread.
+
+        Args:
+            side: also those that cast the rays of blocks so many pixels large.
+        """
         self._beams.compile()
-        for what in ("all", "") if self.device.computes else ("",):
-            self._compiled((slopes, what, BLOCK, surface, self.device.computes))
+        computes = self.device.computes
+        ways = [("", BLOCK), ("all", BLOCK)] if computes else [("", BLOCK)]
+        if side is not None:
+            ways += [(what, side) for what in ("kept_free", "block", *(("blocks",) if computes else ()))]
+        for what, size in ways:
+            self._compiled((slopes, what, size, surface, computes))
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; there are no edges, and lines follow the drawn ground."""
