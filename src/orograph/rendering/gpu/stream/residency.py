@@ -176,6 +176,7 @@ class Residency:
             self._asked |= asked
             if not (wait and asked):
                 return not asked
+            self._asked = {name: p for name, p in self._asked.items() if self._absent(name)}
             self._ask()
             self.streamer.wait(1.0)
             self._upload(wait)
@@ -243,9 +244,12 @@ class Residency:
         every = self._asked.copy()
         for some in self._ahead.values():
             for name, p in some.items():
-                every[name] = every.get(name, 0.0) + AHEAD * p / len(self._ahead)
-        absent = ((kind, key) for kind, key in every if self._atlases[kind].slot(key) < 0)  # others came since
-        self.streamer.want([(every[kind, key], kind, key) for kind, key in absent])
+                if self._absent(name):  # others came since
+                    every[name] = every.get(name, 0.0) + AHEAD * p / len(self._ahead)
+        self.streamer.want([(p, *name) for name, p in every.items()])
+
+    def _absent(self, name: tuple[Kind, Key]) -> bool:
+        return self._atlases[name[0]].slot(name[1]) < 0
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
         """Request missing tiles after a frame is submitted: then its own Python code no longer needs the interpreter.
