@@ -6,10 +6,10 @@
 Some views of each flight of ``bench/view.py`` are drawn with all their tiles by patches, rays and the hybrid of both,
 in turns, so that other load affects all alike. Printed are the fastest and the median of ``--times``, ms, until the GPU
 is done; the number of patches; the windows of the rays, their samples, and their coarsest and finest level; for the
-hybrid, the share of the blocks that rays draw, its patches, and its time relative to the better of the two. The same is
-printed in processor time, which does not depend on other load with a software adapter; and the hybrid's estimates for
-patches and for rays alone, beyond an empty picture. Last come the hybrid's measured costs of triangles, pixels, rays
-and ray steps.
+hybrid, the share of the blocks that rays draw, its patches, and its time relative to the better of the two, of the
+fastest and in the median of the turns. The same is printed in processor time, which depends less on other load with a
+software adapter; and the hybrid's estimates for patches and for rays alone, beyond an empty picture. Last come the
+hybrid's measured costs of triangles, pixels, rays and ray steps.
 """
 
 from __future__ import annotations
@@ -79,12 +79,15 @@ def main() -> None:
             windows, by_rays = rays.rays.windows, hybrid.selection.cast.by_rays
             least = {method: np.min(times, 0) for method, times in took.items()}
             over, worked = least["hybrid"] / np.minimum(least["patches"], least["rays"])
+            better = min(("patches", "rays"), key=lambda method: np.median(took[method], 0)[1])
+            turns, by_turns = np.median(np.array(took["hybrid"]) / np.array(took[better]), 0)
             ms = {m: f"{least[m][0]:6.2f} ms ({np.median(took[m], 0)[0]:.2f}; cpu {least[m][1]:.0f})" for m in ways}
             print(
                 f"  {name:5}  {len(patches.patches.instances):6,} patches {ms['patches']}   rays {ms['rays']}, "
                 f"{len(windows)} windows, {windows.samples:,} samples, levels {windows[0].level} to "
                 f"{windows[-1].level}   hybrid {ms['hybrid']}, {by_rays.mean():.0%} by rays, "
-                f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f})"
+                f"{len(hybrid.selection.instances):,} patches, × {over:.2f} (cpu × {worked:.2f}), in the median of "
+                f"turns × {turns:.2f} (cpu × {by_turns:.2f})"
                 + (f"; expected of patches {shares.patches / 1e6:.2f}, rays {shares.rays / 1e6:.2f}" if shares else ""),
                 flush=True,
             )

@@ -19,7 +19,8 @@ machine, or by processor time. A method that cannot fly over the terrain says wh
 
 The figures are medians and maxima of: ms until the GPU is done; ms of all threads of the process meanwhile (with a
 software adapter this includes the GPU's); ms of the GPU by its own clock (timestamps); ms of Python (*to submit*: until
-the frame is submitted, when the GPU can start; *all*: with the work after that) and of the loop (with the driver's work
+the frame is submitted, when the GPU can start; *all*: with the work after that); processor time of the thread that
+draws, which does not count what it waits for, nor a software adapter's work; ms of the loop (with the driver's work
 on submission); ms of selection, patches, triangles, tiles loaded and missing, MB uploaded; and the bound of the largest
 error in pixels with the loaded tiles. For ``--judge`` views with all their tiles, there is also the largest error that
 the referee finds among all full-resolution samples in view (for other methods, in the picture: among those that its
@@ -79,11 +80,12 @@ Size = tuple[int, int]
 class Frame:
     """The cost of a frame, ms.
 
-    Python until the last submission, wall time until the GPU is done, processor time until then, and the GPU's own
-    clock (or None).
+    Python until the last submission, the processor time of its thread, wall time until the GPU is done, processor time
+    of all threads until then, and the GPU's own clock (or None).
     """
 
     python: float
+    thread: float
     done: float
     worked: float
     gpu: float | None
@@ -174,9 +176,9 @@ def fly(
         if options.rate:
             time.sleep(max(0.0, start + k / options.rate - time.perf_counter()))
         clock.begin()
-        begun, before = time.perf_counter(), time.process_time()
+        begun, before, own = time.perf_counter(), time.process_time(), time.thread_time()
         stats = renderer.draw(target, "rgba8unorm", scene.but(view=view), wait=options.waited)
-        python = time.perf_counter()
+        python, own = time.perf_counter(), time.thread_time() - own
         device.wait()
         done, worked = time.perf_counter(), time.process_time() - before
         clock.end()
@@ -186,7 +188,7 @@ def fly(
             if (k + 1) * judge // len(views) > k * judge // len(views):
                 meshes.append((view, renderer.tree.tessellation()))
         gpu = None if seconds is None else seconds * 1e3
-        frames.append(Frame((python - begun) * 1e3, (done - begun) * 1e3, worked * 1e3, gpu, stats))
+        frames.append(Frame((python - begun) * 1e3, own * 1e3, (done - begun) * 1e3, worked * 1e3, gpu, stats))
     return frames, meshes
 
 
@@ -278,6 +280,7 @@ def table(frames: list[Frame]) -> str:
         else "  ms of the GPU, by its clock    (it tells none)",
         row("ms of Python, to submit", [s.submit_ms for s in stats], "{:.2f}"),
         row("ms of Python, all", [s.cpu_ms for s in stats], "{:.2f}"),
+        row("ms of its thread's processor", [f.thread for f in frames], "{:.2f}"),
         row("ms of the loop, all", [f.python for f in frames], "{:.2f}"),
         f"  frames that held the loop up for more than {STALL:.0f} ms: {sum(s.submit_ms > STALL for s in stats)} until "
         f"they were handed over, {sum(f.python > STALL for f in frames)} with what the driver does then",

@@ -90,6 +90,8 @@ def checking(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[s
     parameters = inspect.signature(function).parameters
     kinds = simple({name: str(one.annotation) for name, one in parameters.items()})
     names = tuple(parameters)
+    if not kinds:
+        return lambda args, given: None
     return lambda args, given: check_simple(kinds, (*zip(names, args), *given.items()))
 
 

@@ -105,13 +105,13 @@ class DiamondPages:
             count += 1
         self.atlas.flush()
         asked = view, tolerance, exaggeration, beyond, self.atlas.changes
-        if self._asked is not None and self._asked[0] is patches and self._asked[1] == asked and not self._lacking:
+        same = self._asked is not None and self._asked[0] is patches and self._asked[1] == asked
+        if same and not (self._lacking and (self._streamer.failed or not self._streamer.waiting)):
             return count > 0
         self._asked = patches, asked
         self._frame += 1
-        keys, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond)
-        self._lacking = keys[:ASK]
-        self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels[:ASK], self._lacking, strict=True)])
+        self._lacking, pixels = self._lacking_of(view, patches, tolerance, exaggeration, beyond, ASK)
+        self._streamer.want([(p, "diamonds", key) for p, key in zip(pixels, self._lacking, strict=True)])
         return count > 0
 
     def load(self, view: View, patches: Patches, tolerance: float, exaggeration: float) -> None:
@@ -158,15 +158,16 @@ class DiamondPages:
         self._streamer.close()
 
     def _lacking_of(
-        self, view: View, patches: Patches, tolerance: float, exaggeration: float, beyond: float = 0.0
+        self, view: View, patches: Patches, tolerance: float, exaggeration: float, beyond: float = 0.0,
+        most: int | None = None,
     ) -> tuple[list[Key], list[float]]:  # fmt: skip
-        """The absent pages that a view wants, by the error that each removes, largest first; of patches only those that
-        are ``beyond`` so many pixels."""
+        """The absent pages that a view wants, at most so many, by the error that each removes, largest first; of
+        patches only those that are ``beyond`` so many pixels."""
         pixels = self._wanted(view, patches, tolerance, exaggeration, beyond)
         which = np.flatnonzero(pixels)
         lack = which[self.atlas.lacking(which, self._frame)]
-        order = np.argsort(-pixels[lack], kind="stable")
-        found = pixels[lack][order]
+        order = np.argsort(-pixels[lack], kind="stable")[:most]
+        found = pixels[lack[order]]
         self.bound = 0.0 if not len(found) else float(found[0]) if found[0] < UNKNOWN else math.inf
         return self._keys(lack[order]), found.tolist()
 

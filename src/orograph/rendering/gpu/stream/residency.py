@@ -51,6 +51,9 @@ HELD = 4.0
 ASK = 64
 """The most tiles of a kind that a frame requests: later frames request the rest."""
 
+Asked = dict[tuple[Kind, Key], float]
+"""Tiles to read, with their errors in pixels."""
+
 READERS, REMOTE_READERS = 2, 8
 """Threads that read tiles from a disk, which are busy, and over a network, which mostly wait."""
 
@@ -95,8 +98,8 @@ class Residency:
         )
         self.look_ahead = True
         self._prediction = Prediction()
-        self._ahead: dict[int, list[tuple[float, Kind, Key]]] = {}
-        self._asked: dict[tuple[Kind, Key], float] = {}
+        self._ahead: dict[int, Asked] = {}
+        self._asked: Asked = {}
         self._frame = 0
         self._full = False
         self._drawn = True
@@ -168,18 +171,17 @@ class Residency:
             self._frame += 2  # the patches' tiles may make room
         while True:
             lack = tiles[self.heights.lacking(tiles, self._frame)]
-            asked: dict[tuple[Kind, Key], float] = {
-                ("heights", self.heights.tables.key(tile)): HELD for tile in lack.tolist()
-            }
+            asked: Asked = dict.fromkeys(self.heights.named(lack), HELD)
             self._must_be_read(asked)
             self._asked |= asked
             if not (wait and asked):
                 return not asked
+            self._asked = {name: p for name, p in self._asked.items() if self._absent(name)}
             self._ask()
             self.streamer.wait(1.0)
             self._upload(wait)
 
-    def _must_be_read(self, asked: dict[tuple[Kind, Key], float]) -> None:
+    def _must_be_read(self, asked: Asked) -> None:
         for kind, key in self.streamer.failed.keys() & asked.keys():
             why = self.streamer.failed[kind, key][1]
             raise StoreError(f"The {kind} of tile {key} cannot be read: {why}", path=self.terrain.name)
@@ -228,8 +230,7 @@ class Residency:
             )
             self._known = key, patches
         seconds = time.perf_counter() - begun
-        wanted, missing = self._lacking(view, patches if self._drawn else None, exaggeration, self._frame)
-        self._asked = {(kind, key): p for p, kind, key in wanted}
+        self._asked, missing = self._lacking(view, patches if self._drawn else None, exaggeration, self._frame)
         return patches, missing - len(self._asked.keys() & self.streamer.failed.keys()), seconds
 
     def _patches(
@@ -242,10 +243,13 @@ class Residency:
         """Request what is missing now and what will be missing shortly."""
         every = self._asked.copy()
         for some in self._ahead.values():
-            for p, kind, key in some:
-                every[kind, key] = every.get((kind, key), 0.0) + AHEAD * p / len(self._ahead)
-        absent = ((kind, key) for kind, key in every if self._atlases[kind].slot(key) < 0)  # others came since
-        self.streamer.want([(every[kind, key], kind, key) for kind, key in absent])
+            for name, p in some.items():
+                if self._absent(name):  # others came since
+                    every[name] = every.get(name, 0.0) + AHEAD * p / len(self._ahead)
+        self.streamer.want([(p, *name) for name, p in every.items()])
+
+    def _absent(self, name: tuple[Kind, Key]) -> bool:
+        return self._atlases[name[0]].slot(name[1]) < 0
 
     def prepare(self, view: View, tolerance: float, exaggeration: float, *, ahead: bool = True) -> None:
         """Request missing tiles after a frame is submitted: then its own Python code no longer needs the interpreter.
@@ -275,9 +279,7 @@ class Residency:
         # What is there already stays, if this frame and the last leave it room.
         self._ahead[self._prediction.turn], _ = self._lacking(ahead, patches, exaggeration, self._frame - 2)
 
-    def _lacking(
-        self, view: View, patches: Patches | None, exaggeration: float, frame: int
-    ) -> tuple[list[tuple[float, Kind, Key]], int]:
+    def _lacking(self, view: View, patches: Patches | None, exaggeration: float, frame: int) -> tuple[Asked, int]:
         """The missing tiles of a view (heights only for its patches), those of the largest errors, and their number.
 
         Resident ones are marked as wanted in a frame.
@@ -285,25 +287,27 @@ class Residency:
         No more are wanted than there is room for: then the tiles of the largest errors settle in the atlas, instead of
         all taking each other's place.
         """
-        wanted: list[tuple[float, Kind, Key]] = []
-        missing, most = 0, ASK + len(self.streamer.failed)  # (what cannot be read is in nobody's way)
+        found: Asked = {}
+        missing = 0
         if patches is not None:
-            tiles, pixels = _largest(patches.tiles, patches.pixels, self.heights.room - self._held)
-            lack = self.heights.lacking(tiles, frame)
-            missing = int(lack.sum())
-            if missing:
-                tiles, pixels = _largest(tiles[lack], pixels[lack], most)
-                level, row, col = (a.tolist() for a in patches.tiling.where(tiles))
-                keys = zip(level, row, col, strict=True)
-                wanted += [(p, "heights", key) for p, key in zip(pixels.tolist(), keys, strict=True)]
-        which, priority = _largest(*self._slope_tiles.of(view, exaggeration), self.slopes.room)
-        lack = self.slopes.lacking(self._slope_tiles.index[which], frame)
-        if lack.any():
-            missing += int(lack.sum())
-            which, priority = _largest(which[lack], priority[lack], most)
-            for p, (k, i, j) in zip(priority.tolist(), self._slope_tiles.keys[which].tolist(), strict=True):
-                wanted.append((p, "slopes", (k, i, j)))
-        return wanted, missing
+            room = self.heights.room - self._held
+            missing += self._lacking_in(self.heights, patches.tiles, patches.pixels, room, frame, found)
+        which, priority = self._slope_tiles.of(view, exaggeration)
+        tiles = self._slope_tiles.index[which]
+        return found, missing + self._lacking_in(self.slopes, tiles, priority, self.slopes.room, frame, found)
+
+    def _lacking_in(
+        self, atlas: Atlas, tiles: NDArray[np.int64], errors: NDArray[Any], room: int, frame: int, found: Asked
+    ) -> int:  # fmt: skip
+        """Add the missing ones of an atlas's tiles to ``found``, if there is room; return their number."""
+        tiles, errors = _largest(tiles, errors, room)
+        lack = atlas.lacking(tiles, frame)
+        missing = int(np.count_nonzero(lack))
+        if missing:
+            # (What cannot be read is in nobody's way.)
+            tiles, errors = _largest(tiles[lack], errors[lack], ASK + len(self.streamer.failed))
+            found.update(zip(atlas.named(tiles), errors.tolist(), strict=True))
+        return missing
 
     def _upload(self, wait: bool) -> None:
         """Upload tiles that have been read to the GPU."""

@@ -67,11 +67,12 @@ class Streamer(Generic[K, T, D]):
             return
         now = time.monotonic()
         with self._condition:
-            have = self._busy | {(kind, key) for kind, key, _ in self._ready}
+            skipped = self._busy | {(kind, key) for kind, key, _ in self._ready}
+            skipped |= {one for one, (when, _) in self.failed.items() if when + self.RETRY >= now}
             self._heap = [
                 (-priority, n, kind, key)
                 for n, (priority, kind, key) in enumerate(wanted)
-                if (kind, key) not in have and self.failed.get((kind, key), (-1e9, ""))[0] + self.RETRY < now
+                if (kind, key) not in skipped
             ]
             heapq.heapify(self._heap)
             if self._heap:

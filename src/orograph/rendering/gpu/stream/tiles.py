@@ -198,6 +198,18 @@ class Tables:
         return level, row, col
 
 
+class _Names(dict[int, tuple[Kind, Key]]):
+    """The kind and the keys of tiles by their places in the page table, each made when it is first asked for."""
+
+    def __init__(self, kind: Kind, tables: Tables) -> None:
+        super().__init__()
+        self.kind, self.tables = kind, tables
+
+    def __missing__(self, tile: int) -> tuple[Kind, Key]:
+        self[tile] = found = self.kind, self.tables.key(tile)
+        return found
+
+
 class Atlas(TileAtlas):
     """One kind of tile of a terrain, and the page table that shaders find them by.
 
@@ -222,6 +234,11 @@ class Atlas(TileAtlas):
         self.resident: NDArray[np.uint8] = np.zeros(self.tables.total, np.uint8)
         self.changes = 0
         self._flushed = 0
+        self._names = _Names(kind, self.tables)
+
+    def named(self, tiles: NDArray[np.int64]) -> list[tuple[Kind, Key]]:
+        """The kind and the keys of tiles, by their places in the page table."""
+        return [self._names[tile] for tile in tiles.tolist()]
 
     def lacking(self, tiles: NDArray[np.int64], frame: int) -> NDArray[np.bool_]:
         """Which tiles, by their places in the page table, are absent; the others are marked as wanted in a frame."""

@@ -102,13 +102,12 @@ class SlopeTiles(Tree):
     """The slope tiles of a terrain.
 
     Attributes:
-        keys: (n, 3) int64: level, row and column of every tile, coarsest level first.
-        index: (n,) their places in a page table (``tiles.Tables``).
+        index: (n,) int64, the places of all tiles in a page table (``tiles.Tables``), coarsest level first.
     """
 
     def __init__(self, terrain: Terrain) -> None:
         tables = Tables.of(terrain)
-        boxes, parents, sizes, keys, index = [], [], [], [], []
+        boxes, parents, sizes, index = [], [], [], []
         begin, above = 0, 0
         spacing = max(terrain.grid.spacing)
         for level in range(terrain.levels - 1, -1, -1):
@@ -122,10 +121,9 @@ class SlopeTiles(Tree):
                 pr, pc = tables.shapes[level + 1]
                 parents.append(above + np.minimum(r // 2, pr - 1) * pc + np.minimum(c // 2, pc - 1))
             sizes.append(np.full(len(r), spacing * 2.0**level))
-            keys.append(np.stack([np.full(len(r), level), r, c], 1))
             index.append(tables.offsets[level] + r * cols + c)
             above, begin = begin, begin + len(r)
         super().__init__(
             terrain, np.concatenate(boxes), np.concatenate(parents).astype(np.int64), np.concatenate(sizes)
         )
-        self.keys, self.index = np.concatenate(keys).astype(np.int64), np.concatenate(index).astype(np.int64)
+        self.index = np.concatenate(index).astype(np.int64)

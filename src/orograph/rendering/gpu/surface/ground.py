@@ -12,7 +12,7 @@ only. A new kind of selection gets its surface by a line in ``Ground.surfaces``.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -38,7 +38,7 @@ from orograph.rendering.gpu.surface.chunks import ChunkPass, Chunks, DecodedChun
 from orograph.rendering.gpu.surface.clipmap import ClipPass, HeldRings, ready_of
 from orograph.rendering.gpu.surface.growing import Growing, living
 from orograph.rendering.gpu.surface.left import DEPTH_ONLY, Left, Slopes
-from orograph.rendering.gpu.surface.meshes import MeshPass, Selected
+from orograph.rendering.gpu.surface.meshes import MeshPass, Ready, Selected
 from orograph.rendering.gpu.surface.mixed import MixableWindows, Mixed, MixedPass, Mixing
 from orograph.rendering.gpu.surface.mixer import Mixer
 from orograph.rendering.gpu.surface.patches import PatchPass
@@ -166,7 +166,8 @@ class Ground:
         self._mixer = Mixer(device, terrain, camera, legs, mixed)
         self.batches = Batches(device, most)
         own: dict[type, Any] = {
-            RayWindows: windows.ready, PatchesAndRays: Mixing(device, terrain, windows).ready,
+            RayWindows: self._compiling(windows.ready),
+            PatchesAndRays: self._compiling(Mixing(device, terrain, windows).ready),
             CodedChunks: Chunks(device, most).ready, TinBatches: self.batches.ready,
             ClipRings: ready_of(terrain.grid.shape, most),
             PieceSet: Pieces(device, tiles).ready,
@@ -174,6 +175,7 @@ class Ground:
         self._selected = Selected(terrain, own, self._have)
         self._growing = Growing(device, terrain, 2 * most, jobs)
         self._drawn: Drawn | None = None
+        self._sloped = False
         self._known: tuple[Any, tuple[bool, Choice | None]] | None = None
 
     def choose(self, scene: Scene, freeze: View | None, tolerance: float, *, wait: bool) -> Drawn:
@@ -226,7 +228,18 @@ class Ground:
 
     def draw(self, encoder: Any, targets: Targets, drawn: Drawn, left: Left = DEPTH_ONLY) -> None:
         """Clear the targets and draw the ground."""
+        self._sloped = bool(left.slopes)
         self.surfaces[type(drawn.selection)].draw(encoder, targets, drawn.selection, left)
+
+    def _compiling(self, ready: Ready) -> Ready:
+        """What makes windows ready, in the thread that selects them, and first compiles what casts rays at them."""
+
+        def both(selection: Any, again: Callable[[float], Any]) -> Selection:
+            block = selection.block if isinstance(selection, PatchesAndRays) else None
+            self._rays.compile(selection.surface, self._sloped, block)
+            return ready(selection, again)
+
+        return both
 
     def find_breaks(self, encoder: Any, targets: Targets, plan: bool) -> None:
         """Find where the hits of rays break off; see ``RayPass``."""

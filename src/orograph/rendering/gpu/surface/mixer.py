@@ -40,6 +40,9 @@ ROUNDS, TIMES = 4, 8
 """How often each draw is timed (the fastest counts), and how many times a timed submission repeats it on hardware,
 where one draw would take hardly longer than an empty submission."""
 
+SOME = 1 << 19
+"""Triangles that are drawn on software to measure what they cost, at most: of more patches, every so many-th."""
+
 MOVED = 0.01
 """Fraction of the distance to its target by which a camera may move or turn before windows are checked again, …"""
 
@@ -206,7 +209,8 @@ class Mixer:
         """Measure the costs, ns, by drawing the frame a few times.
 
         Patches are drawn once, and twice, where the second ones are hidden and cost their triangles only. (In a small
-        picture triangles without pixels cost less.) Rays are cast in the whole picture and in one that is ``SMALL``
+        picture triangles without pixels cost less.) On software, where triangles take long, these are some of the
+        patches, spread over the picture. Rays are cast in the whole picture and in one that is ``SMALL``
         times smaller, which takes what precedes them, and the longest of them, all the same. Blocks in which they take
         many steps, and the others, tell rays from steps: on software a third of these, which takes time enough. Every
         second block by rays says what both ways cost besides. What a picture of nothing takes does not count.
@@ -222,7 +226,9 @@ class Mixer:
             small: camera_of(view.resized(*small), self.terrain, exaggeration),
             size: camera_of(view, self.terrain, exaggeration),
         }
-        twice = np.concatenate([patches.instances, patches.instances])
+        apart = -(-len(patches.instances) * self.legs**2 // SOME) if self.device.adapter.software else 1
+        sample = np.ascontiguousarray(patches.instances[::apart])
+        twice = np.concatenate([sample, sample])
 
         def drawing(by_rays: Labels, instances: NDArray[Any] = patches.instances[:0]) -> Mixed:
             return Mixed(instances, Cast(rays, by_rays, screen.side))
@@ -230,22 +236,21 @@ class Mixer:
         def amounts(by_rays: Labels) -> Array:
             return np.array([frame.ground[by_rays].sum(), frame.steps[by_rays].sum()])
 
-        every = patches.instances
-        by_patches = [drawing(none), drawing(none, every), drawing(none, twice), drawing(turns, every)]
+        by_patches = [drawing(none), drawing(none, sample), drawing(none, twice), drawing(turns, sample)]
         by_rays = [drawing(~none), *(drawing(half) for half in halves)]
         draws = [*((draw, size) for draw in (*by_patches, *by_rays)), (drawing(none), small), (drawing(~none), small)]
         took = 1e9 * np.array(self._seconds(draws, cameras))
         idle, once, again, both, alone, long, short, least, tiny = took
-        ground = float(frame.ground.sum())
-        triangles = len(every) * self.legs**2
+        ground = frame.ground * len(sample) / len(patches.instances)
+        triangles = len(sample) * self.legs**2
         triangle = max(again - once, 0.05 * once) / triangles
-        pixel = max(once - idle - triangle * triangles, 0.05 * once) / max(ground, 1.0)
+        pixel = max(once - idle - triangle * triangles, 0.05 * once) / max(float(ground.sum()), 1.0)
         fewer = 1.0 - small[0] * small[1] / (size[0] * size[1])
         all_rays = max((alone - idle - (tiny - least)) / (fewer or 1.0), 0.05 * alone)
         more = amounts(halves[0]) - amounts(halves[1])
         ray, step = _costs_of_rays(np.stack([amounts(~none), more]), all_rays, long - short)
         begin = max(0.0, alone - idle - all_rays)
-        known = triangle * triangles + pixel * float(frame.ground[~turns].sum()) + begin
+        known = triangle * triangles + pixel * float(ground[~turns].sum()) + begin
         besides = both - idle - known - float(amounts(turns) @ (ray, step))
         return Costs(triangle, pixel, ray, step, begin, max(0.0, besides))
 
@@ -257,7 +262,7 @@ class Mixer:
         On software renderers this is processor time, if that is less: the clock also counts the work of others.
         """
         software = self.device.adapter.software
-        times, rounds = (1, 2) if software else (TIMES, ROUNDS)
+        times, rounds = (1, 3) if software else (TIMES, ROUNDS)
         took: list[list[float]] = [[] for _ in draws]
         targets = {size: Targets(self.device, *size) for size in cameras}
         for _ in range(1 + rounds):

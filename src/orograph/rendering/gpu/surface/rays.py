@@ -59,11 +59,15 @@ class Beams:
             self._room = size, self.device.buffer(4 * across * down, "STORAGE|COPY_SRC", "starts of rays")
         return self._room[1]
 
+    def compile(self) -> None:
+        """Compile the pipeline, if that is not done; from any thread."""
+        if self._pipeline is None:
+            self._pipeline = self._program.compute()
+
     def encode(self, encoder: Any, camera: Any, stack: Any, pool: Any, size: tuple[int, int]) -> None:
         """Find the depths for the camera and the windows in those buffers."""
         starts = self.starts(size)
-        if self._pipeline is None:
-            self._pipeline = self._program.compute()
+        self.compile()
         if self._held[0] is not pool or self._held[1] is not starts:
             seen = self._program.bind({"camera": camera})
             self._held = pool, starts, (
@@ -105,6 +109,10 @@ class Breaks:
         pass_.end()
 
 
+Key = tuple[bool, str, int, RaySurface, bool]
+"""Of a pipeline: whether it leaves slopes, what it draws, pixels along a block, and whether compute shaders cast."""
+
+
 class RayPass:
     """Casts rays through pixels into depth and marks.
 
@@ -117,18 +125,34 @@ class RayPass:
         self.stack = device.buffer(STACK.itemsize, "UNIFORM", "windows")
         self._buffer, self._beams, self._breaks = camera, Beams(device), Breaks(device)
         self._computes = device.computes
-        self._pipelines: dict[tuple[bool, str, int, RaySurface, bool], Any] = {}
+        self._pipelines: dict[Key, Any] = {}
         self._held: tuple[list[Any], Any] = ([], None)
         self._groups: tuple[Any, Any] = (None, None)
         self._surface: RaySurface = "exact"
         self._hits: tuple[tuple[int, int], Any] = ((0, 0), None)
         self._blocks: tuple[bytes, Any] = (b"", device.buffer(8, "VERTEX|STORAGE", "blocks"))
 
-    def _program(self, side: int, surface: RaySurface, breaks: bool = False, slopes: bool = False) -> Program:
+    def _program(
+        self, side: int, surface: RaySurface, computes: bool, breaks: bool = False, slopes: bool = False
+    ) -> Program:  # fmt: skip
         return Program(
             self.device, "surface_rays", SIDE=side, BEAM=BEAM, BILINEAR=int(surface == "bilinear"),
-            CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(self._computes),
+            CONSTANT=int(surface == "constant"), BREAKS=int(breaks), SLOPED=int(slopes), COMPUTED=int(computes),
         )  # fmt: skip
+
+    def compile(self, surface: RaySurface, slopes: bool, side: int | None = None) -> None:
+        """Compile the pipelines that cast all rays, so that the first frame need not; from any thread.
+
+        Args:
+            side: also those that cast the rays of blocks so many pixels large.
+        """
+        self._beams.compile()
+        computes = self.device.computes
+        ways = [("", BLOCK), ("all", BLOCK)] if computes else [("", BLOCK)]
+        if side is not None:
+            ways += [(what, side) for what in ("kept_free", "block", *(("blocks",) if computes else ()))]
+        for what, size in ways:
+            self._compiled((slopes, what, size, surface, computes))
 
     def draw(self, encoder: Any, targets: Targets, selection: CastWindows, left: Left) -> None:
         """Clear the targets and draw; there are no edges, and lines follow the drawn ground."""
@@ -162,7 +186,7 @@ class RayPass:
             bound |= {"hits": self._hits[1], "blocks": self._blocks[1]}
         asked = list(bound.values())
         if len(asked) != len(self._held[0]) or any(a is not b for a, b in zip(asked, self._held[0], strict=True)):
-            program = self._program(BLOCK, "exact")
+            program = self._program(BLOCK, "exact", self._computes)
             self._groups = program.bind({"camera": self._buffer}), program.bind(bound, 1)
         self._held = asked, selection.stack
         self._beams.encode(encoder, self._buffer, self.stack, selection.pool, size)
@@ -199,22 +223,22 @@ class RayPass:
         pass_.draw(6, count)
 
     def _record(self, pass_: Any, slopes: bool, what: str, side: int = BLOCK) -> None:
-        pass_.set_pipeline(self._pipeline(slopes, what, side))
+        pass_.set_pipeline(self._compiled((slopes, what, side, self._surface, self._computes)))
         for number, group in enumerate(self._groups):
             pass_.set_bind_group(number, group)
 
-    def _pipeline(self, slopes: bool, what: str, side: int) -> Any:
+    def _compiled(self, key: Key) -> Any:
         """The pipeline that draws all pixels (""), those at breaks ("breaks"), blocks ("block"), or keeps blocks free
         ("kept_free"); or that casts the rays of "all" pixels, those at breaks ("all breaks"), or of "blocks"."""
-        key = slopes, what, side, self._surface, self._computes
+        slopes, what, side, surface, computes = key
         if key not in self._pipelines and what in ("all", "all breaks", "blocks"):
-            program = self._program(side, self._surface, what == "all breaks", slopes)
+            program = self._program(side, surface, computes, what == "all breaks", slopes)
             self._pipelines[key] = program.compute("cast_blocks" if what == "blocks" else "cast_all")
         if key not in self._pipelines:
             entry = "kept_free" if what == "kept_free" else "fragment"
             sloped = "kept_free_with_slope" if what == "kept_free" else "with_slope"
             blocks = what in ("block", "kept_free")
-            self._pipelines[key] = self._program(side, self._surface, breaks=what == "breaks").draw(
+            self._pipelines[key] = self._program(side, surface, computes, breaks=what == "breaks").draw(
                 [{"format": format} for format in ((MARKS, GIVEN) if slopes else (MARKS,))],
                 vertex="block" if blocks else "vertex", fragment=sloped if slopes else entry,
                 buffers=[BLOCKS] if blocks else [], depth={**NEARER, "depth_compare": "always"} if blocks else NEARER,
