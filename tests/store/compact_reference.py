@@ -99,10 +99,10 @@ def values_of(stream, step):
 def decoded(data, shape):
     """The samples, int32."""
     rows, cols = shape
-    version, mode, number, shift, first = struct.unpack_from("<4Bi", data)
-    assert version == 2
-    weights = struct.unpack_from("<11h", data, 8)
-    bounds, at, tables = list(data[30 : 29 + number]), 29 + number, []
+    version, mode, number, shift, origin, factor = struct.unpack_from("<4BiI", data)
+    assert version == 3
+    weights = struct.unpack_from("<11h", data, 12)
+    bounds, at, tables = list(data[34 : 33 + number]), 33 + number, []
     for _ in range(number):
         one, at = table(data, at)
         tables.append(one)
@@ -121,22 +121,19 @@ def decoded(data, shape):
             min((3 * m[j] + 2 * (m[j - 1] + m[j + 1]) + m[j - 2] + m[j + 2]) >> shift, 255)
             for j in range(2, len(m) - 2)
         ]
-        lines.append(line_of(values[:cols], first, weights, lines[-2:]))
+        lines.append(line_of(values[:cols], weights, lines[-2:]))
     assert not stream.words and stream.states == [1 << 16] * LANES
-    out = np.array(lines, np.int32)
+    out = np.array([[wrapped(origin + factor * k) for k in line] for line in lines], np.int32)
     out[marks] = -(2**31)
     return out
 
 
-def line_of(values, first, weights, above):
+def line_of(values, weights, above):
     """The samples of a row, of those of the rows above."""
     differences = [v // 2 if v % 2 == 0 else -(v // 2) - 1 for v in values]
-    line = []
     if not above:
-        for d in differences:
-            first = wrapped(first + d)
-            line.append(first)
-        return line
+        return [wrapped(sum(differences[: k + 1])) for k in range(len(differences))]
+    line = []
     far, near = ([row[0]] * 2 + row + [row[-1]] * 2 for row in (above[0], above[-1]))
     west = farther = above[-1][0]
     for col, d in enumerate(differences):

@@ -8,7 +8,7 @@ import numpy as np
 from compact_reference import LANES, Stream, mask, table, values_of, wrapped
 
 BINS, GROUPS, LAG, SMALL = 5, 64, 3, 307
-FIRST = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
+TOP = (6144, -2048, *[0] * 9), [*[0] * 12, 128, 0, 128, 0, 0]
 
 
 def size(difference):
@@ -31,15 +31,43 @@ def cells_of(data, at, classes):
     return cells, at + -(-read // 8)
 
 
-def factors_of(row, weights, shares):
-    """The weights and shares of a row: the row two above the second one counts as the one above it."""
+def bits_of(data, count):
+    """Numbers of so many bits each, lowest first, that begin where the last one ends."""
+    whole = int.from_bytes(data, "little")
+    for bits in count:
+        yield whole % (1 << bits)
+        whole >>= bits
+
+
+def sets_of(data, at, form):
+    """The limits of tests, the (weights, shares) of all sets, and where they end."""
+    if form != 8:
+        ends = [at + 39 * k for k in range({1: 1, 4: 3}[form])]
+        return None, [(struct.unpack_from("<11h", data, k), list(data[k + 22 : k + 39])) for k in ends], ends[-1] + 39
+    limits, sets = struct.unpack_from("<3H", data, at), []
+    for k in range(8):
+        begin = at + 6 + 28 * k
+        found = list(bits_of(data[begin : begin + 28], [11] * 11 + [6] * 17))
+        sets.append(([16 * ((w + 1024) % 2048 - 1024) for w in found[:11]], [4 * s for s in found[11:]]))
+    return limits, sets, at + 230
+
+
+def factors_of(row, sets, part, tests):
+    """The weights and shares of a sample: in the second row, the row above also counts as the one two above."""
     if row == 0:
-        return FIRST
-    if row == 1:
-        w, ww, nww, nw, ne, nee, nnww, nnw, _, nne, nnee = weights
-        weights = (w, ww, nww + nnww, nw + nnw, ne + nne, nee + nnee, 0, 0, 0, 0, 0)
-        shares = [0 if k in (5, 8, 9, 10) else share for k, share in enumerate(shares)]
-    return weights, shares
+        return TOP
+    if row > 1:
+        return sets[part + sum(1 << k for k, holds in enumerate(tests) if holds)]
+    (w, ww, nww, nw, ne, nee, nnww, nnw, _, nne, nnee), shares = sets[part]
+    shares = [0 if k in (5, 8, 9, 10) else share for k, share in enumerate(shares)]
+    return (w, ww, nww + nnww, nw + nnw, ne + nne, nee + nnee, 0, 0, 0, 0, 0), shares
+
+
+def tests_of(samples, row, col, limits):
+    """Whether N differs from NW, NE and NN by more than the limits."""
+    (far, near), north = samples[row : row + 2], samples[row + 1][col + 2]
+    others = (near[col + 1], near[col + 3], far[col + 2])
+    return [size(north - other) > limit for other, limit in zip(others, limits or (), strict=False)]
 
 
 def group_of(activity):
@@ -74,20 +102,17 @@ def foreseen(samples, sizes, row, col, weights, shares):
 def decoded(data, shape):
     """The samples, int32."""
     rows, cols = shape
-    version, mode, kinds, count, first = struct.unpack_from("<4Bi", data)
-    assert version == 3 and kinds in (1, 4)
-    at, classes = 8, []
-    for _ in range(1 if kinds == 1 else 3):
-        classes.append((struct.unpack_from("<11h", data, at), list(data[at + 22 : at + 39])))
-        at += 39
-    cells, at = cells_of(data, at, len(classes))
+    version, mode, form, count, origin, factor = struct.unpack_from("<4BiI", data)
+    assert version == 4 and form in (1, 4, 8)
+    limits, sets, at = sets_of(data, 12, form)
+    cells, at = cells_of(data, at, 3 if form == 4 else 1)
     tables = []
     for _ in range(count):
         one, at = table(data, at)
         tables.append(one)
     marks, at = mask(data, at, mode, shape) if mode else (np.zeros(shape, bool), at)
     stream, period = Stream(data[at:], min(rows, LANES)), max((cols + 5) // 2 * 2, LAG * LANES)
-    samples, sizes = ([[value] * (cols + 4) for _ in range(rows + 2)] for value in (first, 0))
+    samples, sizes = ([[0] * (cols + 4) for _ in range(rows + 2)] for _ in range(2))
     for step in range(-(-rows // LANES) * period + LAG * (LANES - 1)):
         places = [(lane, *divmod(step - LAG * lane, period)) for lane in range(LANES) if step >= LAG * lane]
         places = [(lane, band * LANES + lane, col) for lane, band, col in places if col < cols]
@@ -95,13 +120,14 @@ def decoded(data, shape):
         for lane, row, col in places:
             if row >= rows:
                 continue
-            line, part = samples[row + 2], 2 * (row % 2) + col % 2 - 1 if kinds == 4 else 0
+            line, part = samples[row + 2], 2 * (row % 2) + col % 2 - 1 if form == 4 else 0
             if col == 0:
                 line[:2] = [samples[row + 1][2]] * 2
             if part < 0 or marks[row, col]:
                 line[col + 2] = line[col + 1]
             else:
-                guess, cell, other = foreseen(samples, sizes, row, col, *factors_of(row, *classes[part]))
+                factors = factors_of(row, sets, part, tests_of(samples, row, col, limits))
+                guess, cell, other = foreseen(samples, sizes, row, col, *factors)
                 coded.append((lane, row, col, guess, other, tables[cells[part, *cell]]))
         values = values_of(stream, [(one[0], one[-1]) for one in coded])
         for (_, row, col, guess, other, _), value in zip(coded, values, strict=True):
@@ -112,8 +138,8 @@ def decoded(data, shape):
             if row < rows and col == cols - 1:
                 samples[row + 2][cols + 2 :] = [samples[row + 2][cols + 1]] * 2
     assert not stream.words and all(state == 1 << 16 for state in stream.states)
-    found = np.array([line[2:-2] for line in samples[2:]], np.int32)
-    if kinds == 4:
+    found = np.array([[wrapped(origin + factor * k) for k in line[2:-2]] for line in samples[2:]], np.int32)
+    if form == 4:
         found[::2, ::2] = 0
     found[marks] = -(2**31)
     return found

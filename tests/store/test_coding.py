@@ -64,6 +64,24 @@ def test_a_step_keeps_the_error_and_is_exact(error):
     assert np.abs(kept.astype(np.float64) - heights).max() <= error
 
 
+@pytest.mark.parametrize("codec", ["compact", "smallest"])
+@pytest.mark.parametrize(("error", "step"), [(0.05, 0.1), (0.15, 0.25), (0.3, 0.5), (0.6, 1.2)])
+def test_coarser_steps_of_the_data_are_kept(codec, error, step, tmp_path):
+    """Whole metres stay what they are, and take no more space in finer steps."""
+    heights = np.round(HEIGHTS)
+    found = store.build(source(heights), tmp_path / "s", codec=codec, max_error=error, **SIZES)
+    assert found.record.coding.step == pytest.approx(step, rel=2**-9)
+    assert found.record.coding.largest == 0 if step < 1 else error
+    if step < 1:
+        np.testing.assert_array_equal(full(found), heights)
+        store.build(source(heights), tmp_path / "auto", codec=codec, max_error="auto", **SIZES)
+        ours, theirs = (
+            sum(len(data) for key, data in files(tmp_path / name).items() if key.startswith("heights/0"))
+            for name in ("s", "auto")
+        )
+        assert ours <= theirs + 500  # of metadata
+
+
 @settings(deadline=None, max_examples=25)
 @given(
     st.integers(1, 200), st.integers(1, 200), st.sampled_from([(32, 8), (64, 64), (256, 32)]), st.integers(1, 3),

@@ -8,14 +8,14 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES, fused, load, store
-from orograph._numba import kernel
+from orograph._numba import kernel, linked
 from orograph.store.codec_head import NEIGHBOURS, TOTAL
 
 FOUR = 4  # products that are added at once
 AROUND = NEIGHBOURS + 1  # features of a prediction: differences of the samples around from N, and that of the sample
 
 
-@kernel
+@linked
 def cleared(count):
     """An array of zeros at an address from which vectors of eight load fastest."""
     room = np.zeros(count + LANES)
@@ -23,14 +23,14 @@ def cleared(count):
     return room[at : at + count]
 
 
-@kernel
+@linked
 def features_of(count, samples):
     """Room for ``count`` features (a multiple of ``FOUR``) of so many samples: zeros, a row for each."""
     width = -(-max(samples, 1) // LANES) * LANES
     return cleared(count * width).reshape(count, width)
 
 
-@kernel
+@linked
 def sums_of(count):
     """Room for the sums of all products of two of ``count`` features, eight partial ones each."""
     return cleared(count * count * LANES)
@@ -65,7 +65,7 @@ def add_products(features, shares, scratch, sums):
             store(sums, here + 3 * LANES, s3)
 
 
-@kernel
+@linked
 def totals(sums, count):
     """The sums of all products, (count, count) float64."""
     found = np.empty((count, count))
@@ -78,14 +78,14 @@ def totals(sums, count):
     return found
 
 
-@kernel
+@linked
 def _put_differences(source, near, count, out):
     """Differences of ``count`` samples from those of the row above."""
     for i in range(count):
         out[i] = float(source[i]) - float(near[i])
 
 
-@kernel
+@linked
 def put_surroundings(far, near, line, at, count, features):
     """The features of a row's samples.
 
@@ -107,7 +107,7 @@ def put_surroundings(far, near, line, at, count, features):
     _put_differences(line[own:], above, count, features[NEIGHBOURS])
 
 
-@kernel
+@linked
 def put_shares(features, counted, shares):
     """The weights of samples in the fit, so that a cliff does not outvote the plain. Return how many samples count.
 
@@ -123,35 +123,42 @@ def put_shares(features, counted, shares):
     return used
 
 
-@kernel
-def weights_of(sums, used, least):
-    """The weights of a prediction, (NEIGHBOURS,) float64, drawn towards those of a plane, W + N - NW.
+@linked
+def weights_of(sums, ridge, others):
+    """The weights of a prediction, (NEIGHBOURS,) float64, drawn towards others.
 
     Args:
-        used: the number of samples. least: how strongly, relative to the sums.
+        ridge: how strongly, relative to the sums.
     """
     every = totals(sums, AROUND)
     matrix, right = every[:NEIGHBOURS, :NEIGHBOURS].copy(), every[NEIGHBOURS, :NEIGHBOURS].copy()
     trace = 0.0
     for k in range(NEIGHBOURS):
         trace += matrix[k, k]
-    ridge = trace * (least + (0.1 / used if used else 0.0)) + 1e-3
+    ridge = trace * ridge + 1e-3
     for k in range(NEIGHBOURS):
         matrix[k, k] += ridge
-    right[0] += ridge
-    right[3] -= ridge
+        right[k] += ridge * others[k]
     solved(matrix, right)
     return right
 
 
-@kernel
+@linked
+def plane():
+    """The weights of W + N - NW."""
+    weights = np.zeros(NEIGHBOURS)
+    weights[0], weights[3] = 1.0, -1.0
+    return weights
+
+
+@linked
 def rounded_weights(real, weights):
     """Weights in 1/4096, as they are written."""
     for k in range(NEIGHBOURS):
         weights[k] = np.int64(np.floor(min(max(real[k], -7.9), 7.9) * TOTAL + 0.5))
 
 
-@kernel
+@linked
 def solved(matrix, right):
     """Solve a positive definite system, in place."""
     n = right.size

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, linked
 
 MISSING = -(1 << 31)
 NEIGHBOURS = 11  # not counting N
@@ -36,7 +36,7 @@ def u32(data, at):
     )
 
 
-@kernel
+@linked
 def frequencies(codes, count, out):
     """Decode frequencies, which sum to ``TOTAL``; return whether the codes are valid.
 
@@ -61,7 +61,7 @@ def frequencies(codes, count, out):
     return out[most] > 0
 
 
-@kernel
+@linked
 def read_tables(data, at, contexts, table, depths, direct):
     """Read the tables of all contexts from ``at``; return where they end, or -1.
 
@@ -106,7 +106,7 @@ def read_tables(data, at, contexts, table, depths, direct):
     return at
 
 
-@kernel
+@linked
 def read_mask(data, at, mode, out):
     """Put ``MISSING`` where the runs from ``at`` say so, and zeros elsewhere; return where they end, or -1."""
     rows, cols = out.shape
@@ -135,7 +135,7 @@ def read_mask(data, at, mode, out):
     return at
 
 
-@kernel
+@linked
 def full_weights(weights, out):
     """Complete the twelve weights: N's makes the sum zero, because N itself is added to the prediction."""
     total = np.int64(0)
@@ -145,7 +145,7 @@ def full_weights(weights, out):
     out[NEIGHBOURS] = -total
 
 
-@kernel
+@linked
 def read_weights(data, at, out):
     """Read weights; return where they end. ``out``: as in ``full_weights``."""
     given = np.empty(NEIGHBOURS, np.int64)
@@ -155,7 +155,7 @@ def read_weights(data, at, out):
     return at + 2 * NEIGHBOURS
 
 
-@kernel
+@linked
 def read_words(data, at, out):
     """Copy the words of a stream to a buffer with room to read beyond their end; return where they end."""
     some = data[at : at + 2 * out.size]
@@ -165,7 +165,7 @@ def read_words(data, at, out):
     return at + 2 * out.size
 
 
-@kernel
+@linked
 def mark_missing(marks, out):
     """Put ``MISSING`` where samples are marked."""
     for row in range(marks.shape[0]):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from orograph._lanes import least, most, some, where
 from orograph._lanes32 import count_of, gather32, marked_before, picked32, shifted_right, spread32
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, linked
 from orograph.store.codec_head import BITS, DIRECT, TOTAL
 
 Flat = NDArray[np.int32]
@@ -27,7 +27,7 @@ class Tables(NamedTuple):
     direct: Flat
 
 
-@kernel
+@linked
 def add_depths(places, depths):
     """Complete the places of tables, (n,) int32, from their offsets in ``Tables.entries``: with the number of bits
     below symbols."""

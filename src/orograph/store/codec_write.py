@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES32
-from orograph._numba import inlined, kernel, shared
+from orograph._numba import inlined, kernel, linked, shared
 from orograph.store.codec_head import BITS, DEEPEST, DIRECT, LEAST, MISSING, START, SYMBOLS, TOTAL, frequencies
 from orograph.store.compact_contexts import length, log2
 
@@ -15,6 +15,58 @@ FINE = 5  # bits of a mean value in symbols; those below are separate
 CODES, LN2 = 48, 0.6931471805599453  # of frequencies; the natural logarithm of 2
 WEIGHT = np.array([code if code < 8 else (4 + code % 4) << (code // 4 - 1) for code in range(CODES)], np.float64)
 SURPRISE = np.array([1e9] + [float(BITS) - log2(weight) for weight in WEIGHT[1:]])  # bits of a symbol, by its code
+
+
+@linked
+def based(numbers):
+    """The first sample that is not missing, the largest common factor of all differences from it, and the samples as
+    multiples of that: (int64, int64, (rows, cols) int32). Missing samples stay as they are."""
+    rows, cols = numbers.shape
+    flat, origin, factor = numbers.reshape(numbers.size), np.int64(0), np.int64(0)
+    for k in range(flat.size):
+        if flat[k] != MISSING:
+            origin = np.int64(flat[k])
+            break
+    for row in range(rows):
+        if factor == 1:
+            break
+        factor = _common(numbers[row], origin, factor)
+    found, wrong = np.empty((rows, cols), np.int32), 0
+    if factor <= 1:
+        for k in range(flat.size):
+            wrong += flat[k] != MISSING and np.int32(flat[k] - origin) == MISSING
+        factor, origin = np.int64(1), origin if wrong == 0 else np.int64(0)  # (what is missing must be told from it)
+    for row in range(rows):
+        to, own = found[row], numbers[row]
+        for col in range(cols if factor == 1 else 0):
+            to[col] = np.int32(own[col] - origin) if own[col] != MISSING else MISSING
+        for col in range(cols if factor > 1 else 0):
+            to[col] = np.int32((own[col] - origin) / factor) if own[col] != MISSING else MISSING
+    return origin, factor, found
+
+
+@linked
+def _common(line, origin, factor):
+    """The largest common factor of a factor, 0 for any, and of a row's differences from the origin."""
+    wrong = 1 if factor == 0 else 0
+    for k in range(line.size if factor else 0):  # (mostly they are all multiples, and this is quick)
+        off = np.float64(line[k]) - origin
+        wrong += line[k] != MISSING and np.rint(off / max(factor, 1)) * factor != off
+    for k in range(line.size if wrong else 0):
+        one, other = abs(np.int64(line[k]) - origin) if line[k] != MISSING else 0, factor
+        while one:
+            one, other = other % one, one
+        factor = other
+        if factor == 1:
+            break
+    return factor
+
+
+@linked
+def write_u32(out, at, value):
+    """Write the lowest 32 bits of a number, lowest byte first."""
+    for k in range(4):
+        out[at + k] = np.uint8(value >> (8 * k) & 255)
 
 
 @shared
@@ -79,7 +131,7 @@ def decided_tables(values, contexts, number, rare, coarse, depths, direct, found
     return sizes
 
 
-@kernel
+@linked
 def decided_codes(counts, codes):
     """Decide the codes of a table: those with which values and table together take the fewest bits.
 
@@ -115,7 +167,7 @@ def decided_codes(counts, codes):
         codes[s - 1] = before[s, codes[s]]
 
 
-@kernel
+@linked
 def write_tables(out, at, number, depths, direct, sizes, codes):
     """Write the tables at ``at`` in the chunk's zeroed bytes; return where they end."""
     for c in range(number):
@@ -135,7 +187,7 @@ def write_tables(out, at, number, depths, direct, sizes, codes):
     return at
 
 
-@kernel
+@linked
 def write_mask(numbers, mode, out, at):
     """Write the runs of valid and missing samples at ``at``; return where they end."""
     rows, cols = numbers.shape
@@ -152,7 +204,7 @@ def write_mask(numbers, mode, out, at):
     return _write_run(out, at, run)
 
 
-@kernel
+@linked
 def _write_run(out, at, run):
     while run > 127:
         out[at] = np.uint8(run & 127 | 128)
@@ -187,7 +239,7 @@ def push_plain(x, p, words, bits, value):
     return x << bits | value, p
 
 
-@kernel
+@linked
 def ready_to_push(found):
     """For each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
     both, inverse = np.zeros(found.size, np.int64), np.ones(found.size)
@@ -226,7 +278,7 @@ def write_stream(values, codes, ranges, depths, direct, found, words, states):
     return p
 
 
-@kernel
+@linked
 def _push_low(values, codes, at, depths, states, p, words):
     """Write the bits below the symbols of sixteen values; the word before."""
     for i in range(LANES32 - 1, -1, -1):
@@ -237,7 +289,7 @@ def _push_low(values, codes, at, depths, states, p, words):
     return p
 
 
-@kernel
+@linked
 def _push_ranges(values, codes, at, depths, direct, states, p, words):
     """Write the bits of the ranges of sixteen values: those above sixteen bits before the rest; the word before."""
     for high in range(1, -1, -1):

@@ -9,6 +9,8 @@ for the codec. The difference from the original is measured sample by sample (``
 For a stated error e the step is 2e, rounded down to ten binary digits and to a multiple of 2^-10 m. Such heights are
 exact in float32 up to 16 km and more, so every reader gets the same heights whatever arithmetic it uses, and none
 is off by more than e. ``auto`` uses the data's own steps, which are kept exactly: whole metres, feet, centimetres…
+If these are coarser than 2e, the step is a whole fraction of them. Heights are then kept exactly, and take no more
+space than with ``auto``, for the codecs store the common factor of a chunk's numbers once.
 
 Means are stored in a quarter of that step, so means of four valid samples are exact.
 
@@ -224,7 +226,10 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
             f"`max_error` is at least {FINEST / 2:.3g} m, not {error:g}.",
             remedy="For less, store the heights exactly: `max_error='lossless'`.",
         )
-    return Coding(codec, floored(2 * error / (_FINER if codec == "progressive" else 1)), error)
+    if codec == "progressive":
+        return Coding(codec, floored(2 * error / _FINER), error)
+    own = (None if getattr(source, "resampled_from", ()) else _own(source)) or 0.0
+    return Coding(codec, own / math.ceil(own / (2 * error)) if own > 2 * error else floored(2 * error), error)
 
 
 def floored(width: float) -> float:

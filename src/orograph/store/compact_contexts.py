@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel, shared
+from orograph._numba import linked, shared
 from orograph.store.compact_decode import (
     CONTEXTS,
     LEVELS,
@@ -51,7 +51,7 @@ def _entropy(count):
     return SMALL_COUNTS[np.uint64(count)] if count < SMALL_COUNTS.size else count * log2(float(count))
 
 
-@kernel
+@linked
 def activity_of(values, shift, found):
     """The activity of every sample, as decoders compute it."""
     rows, size = values.shape
@@ -61,7 +61,7 @@ def activity_of(values, shift, found):
         activities(values[row], shift, padded, levels)
 
 
-@kernel
+@linked
 def shift_of(values):
     """By how much activities are shifted: nearly all are below ``LEVELS`` then."""
     low, high, size = 0, 32, values.size
@@ -84,7 +84,7 @@ def token(value):
     return 64 + (bits - 7) * 4 + ((value >> (bits - 3)) & 3)
 
 
-@kernel
+@linked
 def cost_of(counts, more, share):
     """Bits of the counted values, ``share`` times ``more`` (which may be longer) included, and of their table."""
     total, bits, kinds = 0, 0.0, 0
@@ -95,7 +95,7 @@ def cost_of(counts, more, share):
     return bits + _entropy(total) + 16 + ENTRY * kinds if total else 0.0
 
 
-@kernel
+@linked
 def grouped(levels, group, most):
     """Divide levels of activity into at most ``most`` groups of about equal size; return the number of groups.
 
@@ -117,7 +117,7 @@ def grouped(levels, group, most):
     return count
 
 
-@kernel
+@linked
 def joined(counts, lengths, groups, bounds, most):
     """Merge neighbouring groups while that costs nothing, or there are more than ``most``; return how many are left.
 
@@ -152,7 +152,7 @@ def joined(counts, lengths, groups, bounds, most):
     return left
 
 
-@kernel
+@linked
 def divided(values, activity, bounds):
     """Choose the contexts; return their number. ``bounds`` becomes the first level of each, ``activity`` contexts."""
     size = activity.size

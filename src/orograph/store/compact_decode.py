@@ -12,7 +12,7 @@ import numpy as np
 
 from orograph._lanes import LANES32, where
 from orograph._lanes32 import load32, marked, shifted_right, spread32, store32
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, linked
 from orograph.store.codec_head import (
     CUT_OFF,
     LEAST,
@@ -32,11 +32,11 @@ from orograph.store.codec_head import (
 )
 from orograph.store.codec_lanes import Tables, add_depths, next_values
 
-VERSION = 2
+VERSION = 3
 CONTEXTS = 8
 CAP = 65535  # largest magnitude that counts for a context
 LEVELS = 256  # of activity
-HEADER = 8 + 2 * NEIGHBOURS
+HEADER = 12 + 2 * NEIGHBOURS
 
 
 @inlined
@@ -46,7 +46,7 @@ def _step(own, base, w0, w1, west, farther):
     return np.int32(own + np.int32(t >> np.int32(12)))
 
 
-@kernel
+@linked
 def _row(states, p, words, tables, deep, places, values, before, sums, weights, base, near, line):
     """Decode the values of a row in sixteen lanes, and rebuild the samples of the row above it; return the next word.
 
@@ -77,7 +77,7 @@ def _row(states, p, words, tables, deep, places, values, before, sums, weights, 
     return p
 
 
-@kernel
+@linked
 def activities(values, shift, padded, levels):
     """Compute the activity around each column of a row: the size of values there, for the contexts of the next row.
 
@@ -92,7 +92,7 @@ def activities(values, shift, padded, levels):
         levels[j] = min(np.int32(near + padded[j] + padded[j + 4]) >> np.int32(shift), np.int32(LEVELS - 1))
 
 
-@kernel
+@linked
 def predicted(weights, far, near, out):
     """Compute the part of a row's prediction that comes from the two rows above: all but W's and WW's share.
 
@@ -127,9 +127,9 @@ def decode(data, out):
         return UNKNOWN
     if contexts < 1 or contexts > CONTEXTS or shift > 15:
         return TABLES
-    first = np.int32(u32(data, 4))
+    scale = np.int32(u32(data, 4)), np.int32(u32(data, 8))
     weights = np.empty(NEIGHBOURS + 1, np.int32)
-    at: Any = read_weights(data, 8, weights)
+    at: Any = read_weights(data, 12, weights)
     if at + contexts - 1 > data.size:
         return CUT_OFF
     bounds = data[at : at + contexts - 1].astype(np.int32)
@@ -157,20 +157,21 @@ def decode(data, out):
     tables, deep = Tables(entries.view(np.int32), direct.astype(np.int32)), depths.any()
     places = np.arange(contexts, dtype=np.int32) * np.int32(TOTAL)
     add_depths(places, depths)
-    if not _decode_rows(words, count, tables, deep, bounds, places, weights, shift, first, states, out):
+    if not _decode_rows(words, count, tables, deep, bounds, places, weights, shift, scale, states, out):
         return STREAM
     mark_missing(marks, out)
     return 0
 
 
-@kernel
-def _decode_rows(words, count, tables, deep, bounds, places, weights, shift, first, states, out):
+@linked
+def _decode_rows(words, count, tables, deep, bounds, places, weights, shift, scale, states, out):
     """Decode all rows; return whether the words end where they must.
 
     Args:
         words: uint16, ``count`` of them and zeros after them.
         bounds: the least activities of contexts from the second on. places: of the contexts' tables.
-        states: (LANES32,). out: becomes the chunk.
+        scale: the sample that is coded as 0, and what a step of 1 stands for. states: (LANES32,).
+        out: becomes the chunk.
     """
     rows, cols = out.shape
     width, p = LANES32 * (-(-cols // LANES32)), np.int64(0)
@@ -185,20 +186,20 @@ def _decode_rows(words, count, tables, deep, bounds, places, weights, shift, fir
         if p > count:
             return False
         if row == 1:
-            _first(before, first, line)
+            _first(before, line)
         if row > 0:
             extend(line, cols)
-            out[row - 1] = line[2 : cols + 2]
+            _put_line(line, scale, out[row - 1])
         activities(values.view(np.uint32), shift, padded, levels)
         _put_places(levels, bounds, places, own)
         values, before = before, values
     line, near, far = lines[(rows + 2) % 3], lines[(rows + 1) % 3], lines[rows % 3]
     if rows == 1:
-        _first(before, first, line)
+        _first(before, line)
     else:
         predicted(weights, near if rows == 2 else far, near, base)
         _rebuilt(weights, before, base, near, line)
-    out[rows - 1] = line[2 : cols + 2]
+    _put_line(line, scale, out[rows - 1])
     return p == count and (states == LEAST).all()
 
 
@@ -208,7 +209,7 @@ def _residual(value):
     return np.int32((value >> np.int32(1)) & np.int32(0x7FFFFFFF)) ^ -np.int32(value & np.int32(1))
 
 
-@kernel
+@linked
 def _put_places(levels, bounds, places, own):
     """The place of each column's table, by its activity."""
     for at in range(0, own.size, LANES32):
@@ -218,16 +219,24 @@ def _put_places(levels, bounds, places, own):
         store32(own, at, found)
 
 
-@kernel
-def _first(values, first, line):
+@linked
+def _put_line(line, scale, out):
+    """Put a row's samples in their place."""
+    origin, factor = scale
+    for j in range(out.size):
+        out[j] = line[j + 2] * factor + origin
+
+
+@linked
+def _first(values, line):
     """Rebuild the first row: each sample is predicted by the one before it."""
-    west = first
+    west = np.int32(0)
     for j in range(values.size):
         west = np.int32(west + _residual(values[j]))
         line[j + 2] = west
 
 
-@kernel
+@linked
 def _rebuilt(weights, before, base, near, line):
     """Rebuild the samples of a row, as in ``_row``."""
     west = farther = near[2]
@@ -238,7 +247,7 @@ def _rebuilt(weights, before, base, near, line):
         line[j + 2] = here
 
 
-@kernel
+@linked
 def extend(line, cols):
     """Repeat the first and last sample of a row in the two places beside them."""
     line[0] = line[1] = line[2]

@@ -10,11 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES32
-from orograph._numba import kernel
+from orograph._numba import kernel, linked
 from orograph.store.codec_fit import (
     AROUND,
     add_products,
     features_of,
+    plane,
     put_shares,
     put_surroundings,
     rounded_weights,
@@ -22,7 +23,16 @@ from orograph.store.codec_fit import (
     weights_of,
 )
 from orograph.store.codec_head import MISSING, NEIGHBOURS, SYMBOLS, WORDS, full_weights
-from orograph.store.codec_write import FINE, decided_tables, symbol_of, write_mask, write_stream, write_tables
+from orograph.store.codec_write import (
+    FINE,
+    based,
+    decided_tables,
+    symbol_of,
+    write_mask,
+    write_stream,
+    write_tables,
+    write_u32,
+)
 from orograph.store.compact_contexts import activity_of, divided, shift_of
 from orograph.store.compact_decode import (
     CONTEXTS,
@@ -36,7 +46,7 @@ SAMPLED = 32  # rows that weights are fitted to
 RARE = 8  # values that one in 2^8 exceeds are ranges
 
 
-@kernel
+@linked
 def _mark_counted(far, near, line, counted):
     """Mark the samples of a row of which, and of all around them, none is missing: 1, else 0."""
     for i in range(counted.size):
@@ -46,7 +56,7 @@ def _mark_counted(far, near, line, counted):
         counted[i] = lowest != MISSING
 
 
-@kernel
+@linked
 def fitted(numbers, weights):
     """The weights (11,) int64, in 1/4096, fitted to some rows; those of a plane where there is too little to go by."""
     rows, cols = numbers.shape
@@ -60,11 +70,11 @@ def fitted(numbers, weights):
         put_surroundings(far, near, line, (0, 1, 2, 3, 4), count, features)
         used += put_shares(features, counted, shares)
         add_products(features, shares, scratch, sums)
-    rounded_weights(weights_of(sums, used, 1e-5), weights)
+    rounded_weights(weights_of(sums, 1e-5 + 0.1 / max(used, 1), plane()), weights)
 
 
-@kernel
-def _values(numbers, weights, first, lowest, highest, values):
+@linked
+def _values(numbers, weights, lowest, highest, values):
     """Compute each sample's difference from its prediction, zigzag-coded, in rows of whole lanes. A missing sample
     takes its prediction, clamped to the range of the others."""
     rows, cols = numbers.shape
@@ -74,7 +84,7 @@ def _values(numbers, weights, first, lowest, highest, values):
         line, near, far = lines[row % 3], lines[(row + 2) % 3], lines[(row + 1 + (row == 1)) % 3]
         if row:
             predicted(weights, far, near, base)
-        west = farther = first if row == 0 else near[2]
+        west = farther = np.int32(0) if row == 0 else near[2]
         for col in range(cols):
             if row:
                 t = np.int32(np.int32(base[col] + np.int32(w1 * farther)) + np.int32(w0 * west))
@@ -113,7 +123,7 @@ def encode(numbers):
     Args:
         numbers: (rows, cols) int32, C order, at least one sample.
     """
-    rows, cols = numbers.shape
+    (rows, cols), (origin, factor, numbers) = numbers.shape, based(numbers)
     lowest, highest, missing = np.int32(2**31 - 1), np.int32(-(2**31 - 1)), 0
     for row in range(rows):
         for col in range(cols):
@@ -124,13 +134,12 @@ def encode(numbers):
                 lowest, highest = min(lowest, here), max(highest, here)
     if missing == rows * cols:
         lowest = highest = np.int32(0)
-    first = np.int32(lowest if numbers[0, 0] == MISSING else numbers[0, 0])
     given, weights = np.empty(NEIGHBOURS, np.int64), np.empty(NEIGHBOURS + 1, np.int32)
     fitted(numbers, given)
     full_weights(given, weights)
     width = LANES32 * (-(-cols // LANES32))
     values, activity = np.empty((rows, width), np.uint32), np.empty((rows, width), np.int32)
-    _values(numbers, weights, first, lowest, highest, values)
+    _values(numbers, weights, lowest, highest, values)
     shift = shift_of(values)
     activity_of(values, shift, activity)
     bounds = np.zeros(CONTEXTS, np.int64)
@@ -145,10 +154,10 @@ def encode(numbers):
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
     mode, at = 0, HEADER
     head[0], head[2], head[3] = VERSION, contexts, shift
-    for k in range(4):
-        head[4 + k] = np.uint8(np.int64(first) >> (8 * k) & 255)
+    write_u32(head, 4, origin)
+    write_u32(head, 8, factor)
     for k in range(NEIGHBOURS):
-        head[8 + 2 * k], head[9 + 2 * k] = np.uint8(given[k] & 255), np.uint8(given[k] >> 8 & 255)
+        head[12 + 2 * k], head[13 + 2 * k] = np.uint8(given[k] & 255), np.uint8(given[k] >> 8 & 255)
     for k in range(1, contexts):
         head[at] = np.uint8(bounds[k])
         at += 1
@@ -162,8 +171,7 @@ def encode(numbers):
     for k in range(at):
         out[k] = head[k]
     for lane in range(LANES32):
-        for k in range(4):
-            out[at + 4 * lane + k] = np.uint8(states[lane] >> (8 * k) & 255)
+        write_u32(out, at + 4 * lane, states[lane])
     at += 4 * LANES32
     for k in range(words.size - p):
         out[at + 2 * k] = np.uint8(words[p + k] & 255)

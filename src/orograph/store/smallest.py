@@ -2,8 +2,9 @@
 
 A sample is predicted as in *compact*. Twelve differences and errors above it and five to its left estimate how good the
 prediction is (weights by least squares). The table also depends on the fractional part of the prediction, or on its
-distance from the sample above, as contexts depend on energy and texture in CALIC (Wu and Memon 1997). docs/codec.md has
-the format, byte by byte.
+distance from the sample above, as contexts depend on energy and texture in CALIC (Wu and Memon 1997). Where the ground
+is half level and half roofs and trees, three tests choose one of eight sets of weights. docs/codec.md has the format,
+byte by byte.
 """
 
 from __future__ import annotations

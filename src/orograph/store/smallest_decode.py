@@ -19,12 +19,13 @@ from orograph._lanes32 import (
     least_unsigned,
     load32,
     marked,
+    picked32,
     shifted_in,
     shifted_right,
     store32,
     transpose32,
 )
-from orograph._numba import inlined, kernel
+from orograph._numba import inlined, kernel, linked
 from orograph.store.codec_head import (
     BITS,
     CUT_OFF,
@@ -38,25 +39,27 @@ from orograph.store.codec_head import (
     WORDS,
     read_mask,
     read_tables,
-    read_weights,
     read_words,
     u32,
 )
 from orograph.store.codec_lanes import Flat, Tables, add_depths, next_values
-from orograph.store.smallest_head import FACTORS, MARKS, mark_steps, put_factors, read_cells
+from orograph.store.smallest_head import FACTORS, MARKS, mark_steps, put_factors, read_cells, read_sets
 from orograph.store.smallest_rows import (
     BINS,
     CAP,
-    CLASS,
+    CHOICES,
     CLASSES,
+    ENTRIES,
     GROUPS,
     HEADER,
     LAG,
     SETS,
     SIGNS,
+    TESTS,
     VERSION,
     WEIGHTS,
     cell_of,
+    outcome,
     period_of,
     size_of,
     steps_of,
@@ -82,6 +85,33 @@ class Front(NamedTuple):
     down: Flat
     edges: Flat
     last: Flat
+
+
+class Rules(NamedTuple):
+    """What predicts samples.
+
+    Attributes:
+        choices: of weights and shares (``put_choices``).
+        factors: flat, of even and odd steps, ``FACTORS`` of sixteen lanes each.
+        tests: of each lane: the entry of its choices if no test holds, and the limits of its tests.
+        tested: whether there are tests.
+    """
+
+    choices: Flat
+    factors: Flat
+    tests: Flat
+    tested: bool
+
+
+@inlined
+def _put_chosen(rules, at, front, o):
+    """Put the weights and shares that the tests of this step choose among its factors."""
+    across, ahead = load32(front.across, _ago(o, 2)), load32(front.across, _ago(o, 1))
+    tests = rules.tests
+    limits = load32(tests, LANES32), load32(tests, 2 * LANES32), load32(tests, 3 * LANES32)
+    order = load32(tests, 0) + outcome(across, ahead, load32(front.down, _ago(o, 2)), limits)
+    for k in range(WEIGHTS + SIGNS):
+        store32(rules.factors, at + np.uint64(k * LANES32), picked32(rules.choices, k * ENTRIES, order))
 
 
 @inlined
@@ -122,24 +152,26 @@ def _active(factors, at, front, o, e_nee, e_nn, across):
     return of_errors + slopes + _times(factors, at, 22, load32(down, o3)) + _times(factors, at, 23, across)
 
 
-@kernel
-def _decode_block(count, step, period, p, words, tables, deep, places, factors, coded, starts, front, out):
+@linked
+def _decode_block(count, step, period, p, words, tables, deep, places, rules, coded, starts, front, out):
     """Decode a block of steps; return the next word.
 
     Args:
         count: the number of steps, at most ``BLOCK``. step: the first. p: the next word of ``words``.
         deep: whether any table has bits below its symbols. places: of each cell's table (``add_depths``).
-        factors: flat, of even and odd steps, ``FACTORS`` of sixteen lanes each.
         coded, starts: (steps,) uint16, the lanes that have a sample in a step, and those that are two before a row.
         out: flat, becomes the samples of each step of the block.
     """
     last, edges, above, beyond, errors = front.last, front.edges, front.above, front.beyond, front.errors
+    factors = rules.factors
     west, farther = load32(last, 0), load32(last, LANES32)
     error, states = load32(last, 2 * LANES32), load32(last, 3 * LANES32)
     here = step % period  # the column of the first lane
     behind = (step - LAG * (LANES32 - 1)) % period  # and that of the last one
     for k in range(count):
         o, at = np.uint64((k + PAST) * LANES32), np.uint64(((step + k) & 1) * (FACTORS * LANES32))
+        if rules.tested:
+            _put_chosen(rules, at, front, o)
         ahead = np.uint64(here + 2 if here + 2 < period else here + 2 - period)
         north, northwest = load32(above, _ago(o, 2)), load32(above, _ago(o, 3))
         nee, nnee = shifted_in(edges[0, ahead], west), shifted_in(edges[1, ahead], northwest)
@@ -180,11 +212,11 @@ def _decode_block(count, step, period, p, words, tables, deep, places, factors, 
     return p
 
 
-@kernel
-def _begun(period, first):
-    """The front before the first step, with a value above the first row; factors; room for a block, twice."""
+@linked
+def _begun(period):
+    """The front before the first step; factors, tests; room for a block, twice."""
     size, line = (BLOCK + PAST) * LANES32, 64 // 4
-    count = 5 * size + 4 * LANES32 + 2 * (FACTORS + BLOCK) * LANES32
+    count = 5 * size + (4 + 2 * FACTORS + 1 + TESTS + 2 * BLOCK) * LANES32
     room = np.zeros(count + line, np.int32)
     at = -(room.ctypes.data // 4) % line  # vectors that straddle cache lines take twice as long to load
     above, beyond, errors = room[at : at + size], room[at + size : at + 2 * size], room[at + 2 * size : at + 3 * size]
@@ -192,37 +224,39 @@ def _begun(period, first):
     at += 5 * size
     last, factors = room[at : at + 4 * LANES32], room[at + 4 * LANES32 : at + (4 + 2 * FACTORS) * LANES32]
     at += (4 + 2 * FACTORS) * LANES32
-    edges = np.zeros((4, period), np.int32)
-    above[:], beyond[:], edges[:2], last[: 2 * LANES32] = first, first, first, first
+    tests, edges = room[at : at + (1 + TESTS) * LANES32], np.zeros((4, period), np.int32)
+    at += (1 + TESTS) * LANES32
     block, lines = room[at : at + BLOCK * LANES32], room[at + BLOCK * LANES32 : at + 2 * BLOCK * LANES32]
-    return Front(above, beyond, errors, across, down, edges, last), factors, block, lines
+    return Front(above, beyond, errors, across, down, edges, last), factors, tests, block, lines
 
 
-@kernel
-def _decode_steps(words, count, tables, deep, places, classes, weights, shares, marks, first, states, out):
+@linked
+def _decode_steps(words, count, tables, deep, places, form, limits, choices, marks, states, scale, out):
     """Decode all steps; return whether the words end where they must.
 
     Args:
         words: uint16, ``count`` of them and zeros after them. places: of each cell's table.
-        states: (lanes,), for the rows that exist.
-        marks: (rows, cols) int32, where samples are missing, or without rows. out: becomes the chunk.
+        form, limits, choices: as in ``read_sets``. states: (lanes,), for the rows that exist.
+        marks: (rows, cols) int32, where samples are missing, or without rows.
+        scale: as in ``_put_samples``. out: becomes the chunk.
     """
     rows, cols = out.shape
     period, steps = period_of(cols), steps_of(rows, cols)
     coded, starts = np.zeros(steps, MARKS), np.zeros(steps, MARKS)
-    mark_steps(marks, rows, cols, classes, coded, starts)
-    front, factors, block, lines = _begun(period, first)
+    mark_steps(marks, rows, cols, form, coded, starts)
+    front, factors, tests, block, lines = _begun(period)
+    rules = Rules(choices, factors, tests, form == CHOICES)
     front.last[3 * LANES32 :] = LEAST
     front.last[3 * LANES32 : 3 * LANES32 + states.size] = states
     p, step = np.int64(0), np.int64(0)
     while step < steps:
         if step == 0 or step == period:
-            put_factors(step // period, classes, weights, shares, factors)
+            put_factors(step // period, form, limits, choices, factors, tests)
         size = min(BLOCK, (period if step < period else steps) - step)
-        p = _decode_block(size, step, period, p, words, tables, deep, places, factors, coded, starts, front, block)
+        p = _decode_block(size, step, period, p, words, tables, deep, places, rules, coded, starts, front, block)
         if p > count:
             return False
-        _put_samples(block, lines, size, step, out)
+        _put_samples(block, lines, size, step, scale, out)
         for part in (front.above, front.beyond, front.errors, front.across, front.down):
             for k in range(PAST * LANES32):
                 part[k] = part[size * LANES32 + k]
@@ -230,14 +264,15 @@ def _decode_steps(words, count, tables, deep, places, classes, weights, shares, 
     return p == count and (front.last[3 * LANES32 :] == LEAST).all()
 
 
-@kernel
-def _put_samples(block, lines, size, step, out):
+@linked
+def _put_samples(block, lines, size, step, scale, out):
     """Put the samples of a block of steps in their rows.
 
     Args:
+        scale: the sample that is coded as 0, and what a step of 1 stands for.
         block: flat. lines: (LANES32 × BLOCK,) int32, becomes the samples of each lane.
     """
-    rows, cols = out.shape
+    (rows, cols), (origin, factor) = out.shape, scale
     period = period_of(cols)
     for k in range(0, BLOCK, LANES32):
         transpose32(block, k * LANES32, lines, k, BLOCK)
@@ -249,15 +284,15 @@ def _put_samples(block, lines, size, step, out):
             if row < rows:
                 line = out[row, col : min(col + size - k, cols)]
                 for m in range(line.size):
-                    line[np.uint64(m)] = lines[here + np.uint64(m)]
+                    line[np.uint64(m)] = lines[here + np.uint64(m)] * factor + origin
             k += min(size - k, period - col)
 
 
-@kernel
-def _clear(marks, classes, out):
+@linked
+def _clear(marks, form, out):
     """Put ``MISSING`` where samples are missing, and 0 where they hold nothing."""
     for row in range(out.shape[0]):
-        if classes == CLASSES and row & 1 == 0:
+        if form == CLASSES and row & 1 == 0:
             out[row, ::2] = 0
         if marks.size:
             for col in range(out.shape[1]):
@@ -277,19 +312,18 @@ def decode(data, out):
     rows, cols = out.shape
     if data.size < HEADER:
         return CUT_OFF
-    mode, classes, number = np.int64(data[1]), np.int64(data[2]), np.int64(data[3])
-    if data[0] != VERSION or mode > 2 or (classes != 1 and classes != CLASSES):
+    mode, form, number = np.int64(data[1]), np.int64(data[2]), np.int64(data[3])
+    if data[0] != VERSION or mode > 2 or (form != 1 and form != CLASSES and form != CHOICES):
         return UNKNOWN
     if number < 1 or number > SETS:
         return TABLES
-    first, skipped, at = np.int32(u32(data, 4)), 1 if classes == CLASSES else 0, np.int64(HEADER)
-    if at + (classes - skipped) * CLASS > data.size:
+    scale = np.int32(u32(data, 4)), np.int32(u32(data, 8))
+    limits, choices = np.zeros(TESTS, np.int32), np.zeros((FACTORS - 1) * ENTRIES, np.int32)
+    at, skipped, classes = read_sets(data, HEADER, form, limits, choices), 0, 1
+    if at < 0:
         return CUT_OFF
-    weights, shares = np.zeros((CLASSES, WEIGHTS), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
-    for k in range(skipped, classes):
-        at = read_weights(data, at, weights[k])
-        shares[k] = data[at : at + SIGNS]
-        at += SIGNS
+    if form == CLASSES:
+        skipped, classes = 1, CLASSES
     cells = np.zeros(CLASSES * GROUPS * BINS, np.int32)
     at = read_cells(data, at, classes - skipped, number, cells[skipped * GROUPS * BINS :])
     if at < 0:
@@ -317,7 +351,7 @@ def decode(data, out):
     at = read_words(data, at, words[:count])
     if at != data.size:
         return STREAM
-    if not _decode_steps(words, count, tables, deep, cells, classes, weights, shares, marks, first, states, out):
+    if not _decode_steps(words, count, tables, deep, cells, form, limits, choices, marks, states, scale, out):
         return STREAM
-    _clear(marks, classes, out)
+    _clear(marks, form, out)
     return 0

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES32
-from orograph._numba import kernel
+from orograph._numba import kernel, linked
+from orograph.store.codec_fit import rounded_weights
 from orograph.store.codec_head import (
     MISSING,
     NEIGHBOURS,
@@ -18,26 +19,37 @@ from orograph.store.codec_head import (
     full_weights,
 )
 from orograph.store.codec_write import (
+    based,
     decided_tables,
     symbol_of,
     write_mask,
     write_stream,
     write_tables,
+    write_u32,
 )
 from orograph.store.compact_contexts import cost_of, grouped, joined, token
-from orograph.store.smallest_fit import fitted_shares, fitted_weights
-from orograph.store.smallest_look import factors_of, lines_of, look, parities_of
+from orograph.store.smallest_fit import fitted_sets, fitted_shares, fitted_weights
+from orograph.store.smallest_look import Rules, lines_of, look, parities_of
 from orograph.store.smallest_rows import (
     BINS,
-    CLASS,
+    CHOICES,
     CLASSES,
+    COARSE_SHARE,
+    COARSE_WEIGHT,
+    ENTRIES,
     GROUPS,
     HEADER,
+    SET,
     SETS,
+    SHARE_BITS,
+    SHORT_SET,
     SIGNS,
+    TESTS,
     VERSION,
+    WEIGHT_BITS,
     WEIGHTS,
     begin_of,
+    put_choices,
     steps_of,
 )
 
@@ -46,7 +58,7 @@ CELLS = CLASSES * GROUPS * BINS
 RARE, COARSE = 6, 4  # as in *compact*, where they are 8 and 5: here shorter tables outweigh the loss
 
 
-@kernel
+@linked
 def _merged(counts, lengths, left, final):
     """Merge any two tables while that makes the chunk smaller; return how many are left.
 
@@ -119,7 +131,7 @@ def _counted(values, cells, most, merged):
     return counts
 
 
-@kernel
+@linked
 def _divided(values, cells, most, places):
     """Choose the tables of all cells; return their number.
 
@@ -161,7 +173,7 @@ def _divided(values, cells, most, places):
     return tables
 
 
-@kernel
+@linked
 def _write_map(out, at, places):
     """Write the table of each class, group and bin; return where that ends."""
     bit = at * 8
@@ -175,10 +187,7 @@ def _write_map(out, at, places):
                     out[bit >> 3] |= np.uint8(1 << (bit & 7))
                     bit += 1
                     continue
-                bit += 1
-                for i in range(6):
-                    out[bit >> 3] |= np.uint8((here >> i & 1) << (bit & 7))
-                    bit += 1
+                bit = _write_bits(out, bit + 1, 6, here)
     return (bit + 7) >> 3
 
 
@@ -206,36 +215,60 @@ def _in_steps(values, tables, depths, direct, lines):
     return ordered, codes, ranges
 
 
-@kernel
-def _write_u32(out, at, value):
-    """Write the lowest 32 bits of a number, lowest byte first."""
-    for k in range(4):
-        out[at + k] = np.uint8(value >> (8 * k) & 255)
-
-
-@kernel
-def _first_of(numbers):
-    """The first sample that is not missing, or 0."""
-    flat = numbers.reshape(numbers.size)
-    for k in range(flat.size):
-        if flat[k] != MISSING:
-            return flat[k]
-    return np.int32(0)
-
-
-@kernel
-def _fitted(lines, classes, given, held):
-    """Fit the weights (CLASSES, NEIGHBOURS) and shares (CLASSES, SIGNS) of all classes, as they are written; both as
-    they are used (``factors_of``)."""
-    weights, shares = np.zeros((CLASSES, WEIGHTS), np.int32), np.zeros((CLASSES, SIGNS), np.int32)
-    for k in range(classes == CLASSES, classes):
-        fitted_weights(lines, k >> 1, k & 1, given[k])
+@linked
+def _fitted(lines, classes, limits, given, held):
+    """Fit the limits of tests, if there are any, and the weights (CHOICES, NEIGHBOURS) and shares (CHOICES, SIGNS) of
+    all sets, as they are written; return the rules, and how many sets there are, counting from 0."""
+    first, sets, tested = 1 if classes == CLASSES else 0, classes, False
+    for k in range(first, classes):
+        whole, features, counted = fitted_weights(lines, k >> 1, k & 1)
+        rounded_weights(whole, given[k])
+        if classes == 1 and fitted_sets(lines, whole, features, counted, limits, given):
+            sets, tested = CHOICES, True
+    weights, shares = np.zeros((CHOICES, WEIGHTS), np.int32), np.zeros((CHOICES, SIGNS), np.int32)
+    for k in range(first, sets):
         full_weights(given[k], weights[k])
-    fitted_shares(lines, factors_of(classes, weights, shares)[0], held)
-    for k in range(classes == CLASSES, classes):
+    rules = Rules(np.zeros((WEIGHTS + SIGNS) * ENTRIES, np.int32), limits, tested)
+    put_choices(first, sets, weights, shares, rules.choices)
+    fitted_shares(lines, rules, held)
+    for k in range(first, sets):
         for i in range(SIGNS):
             shares[k, i] = held[k, i]
-    return factors_of(classes, weights, shares)
+    put_choices(first, sets, weights, shares, rules.choices)
+    return rules, sets
+
+
+@linked
+def _write_sets(out, at, first, sets, limits, given, held):
+    """Write limits and sets; return where they end."""
+    if sets == CHOICES:
+        for k in range(TESTS):
+            out[at + 2 * k], out[at + 2 * k + 1] = limits[k] & 255, limits[k] >> 8
+        at += 2 * TESTS
+    for k in range(first, sets):
+        if sets == CHOICES:
+            bit = at * 8
+            for i in range(NEIGHBOURS):
+                bit = _write_bits(out, bit, WEIGHT_BITS, given[k, i] >> COARSE_WEIGHT)
+            for i in range(SIGNS):
+                bit = _write_bits(out, bit, SHARE_BITS, held[k, i] >> COARSE_SHARE)
+            at += SHORT_SET
+        else:
+            for i in range(NEIGHBOURS):
+                out[at + 2 * i], out[at + 2 * i + 1] = np.uint8(given[k, i] & 255), np.uint8(given[k, i] >> 8 & 255)
+            for i in range(SIGNS):
+                out[at + 2 * NEIGHBOURS + i] = held[k, i]
+            at += SET
+    return at
+
+
+@linked
+def _write_bits(out, bit, count, value):
+    """Write so many bits of a number to zeroed bytes, the lowest first; return where they end."""
+    for i in range(count):
+        out[bit >> 3] |= np.uint8((value >> i & 1) << (bit & 7))
+        bit += 1
+    return bit
 
 
 @kernel
@@ -246,12 +279,14 @@ def encode(numbers, classes):
         numbers: (rows, cols) int32, C order, at least one sample.
         classes: 1, or ``CLASSES``: samples of even row and column hold nothing.
     """
-    rows, first, missing = numbers.shape[0], _first_of(numbers), (numbers == MISSING).any()
-    lines = lines_of(numbers, classes, first, missing)
-    given, held = np.zeros((CLASSES, NEIGHBOURS), np.int64), np.zeros((CLASSES, SIGNS), np.int64)
-    weights, shares = _fitted(lines, classes, given, held)
+    rows, skipped, missing = numbers.shape[0], 1 if classes == CLASSES else 0, (numbers == MISSING).any()
+    origin, factor, numbers = based(numbers)
+    lines = lines_of(numbers, classes, missing)
+    given, held = np.zeros((CHOICES, NEIGHBOURS), np.int64), np.zeros((CHOICES, SIGNS), np.int64)
+    limits = np.zeros(TESTS, np.int32)
+    rules, sets = _fitted(lines, classes, limits, given, held)
     signed, kinds = np.empty(numbers.size + LANES32, np.int32), np.empty(numbers.size + LANES32, np.int32)
-    used = look(lines, weights, shares, signed, kinds)
+    used = look(lines, rules, signed, kinds)
     values, kinds = signed.view(np.uint32)[:used], kinds[:used]
     places = np.empty((CLASSES, GROUPS, BINS), np.int64)
     number = _divided(values, kinds, WHOLE_GROUPS if classes == 1 else NESTED_GROUPS, places)
@@ -261,18 +296,13 @@ def encode(numbers, classes):
     words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
     ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
     p = write_stream(ordered, steps, ranges, depths, direct, found, words, states)
-    most = HEADER + CLASSES * (CLASS + GROUPS * BINS) + SETS * (4 + 8 * SYMBOLS)
+    most = HEADER + CHOICES * SET + CLASSES * GROUPS * BINS + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
-    head[0], head[2], head[3] = VERSION, classes, number
-    _write_u32(head, 4, np.int64(first))
-    at = HEADER
-    for k in range(classes == CLASSES, classes):
-        for i in range(NEIGHBOURS):
-            head[at + 2 * i], head[at + 2 * i + 1] = np.uint8(given[k, i] & 255), np.uint8(given[k, i] >> 8 & 255)
-        for i in range(SIGNS):
-            head[at + 2 * NEIGHBOURS + i] = held[k, i]
-        at += CLASS
-    at = _write_map(head, at, places[classes == CLASSES : classes])
+    head[0], head[2], head[3] = VERSION, sets, number
+    write_u32(head, 4, origin)
+    write_u32(head, 8, factor)
+    at = _write_sets(head, HEADER, skipped, sets, limits, given, held)
+    at = _write_map(head, at, places[skipped:classes])
     at = write_tables(head, at, number, depths, direct, sizes, codes)
     if missing:
         one, two = write_mask(numbers, 1, head, at), write_mask(numbers, 2, head, at)
@@ -283,7 +313,7 @@ def encode(numbers, classes):
     for k in range(at):
         out[k] = head[k]
     for k in range(lanes):
-        _write_u32(out, at, states[k])
+        write_u32(out, at, states[k])
         at += 4
     for k in range(words.size - p):
         out[at + 2 * k] = np.uint8(words[p + k] & 255)

@@ -12,18 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orograph._lanes import LANES32
-from orograph._lanes32 import load32, store32
-from orograph._numba import inlined, kernel, shared
+from orograph._lanes32 import load32, picked32, store32
+from orograph._numba import inlined, linked, shared
 from orograph.store.codec_head import BITS, MISSING
 from orograph.store.smallest_rows import (
     BINS,
     CLASSES,
+    ENTRIES,
     GROUPS,
-    SIGNS,
     WEIGHTS,
     cell_of,
     class_of,
-    own_factors,
+    entry_of,
+    outcome,
     size_of,
 )
 
@@ -36,7 +37,8 @@ class Lines(NamedTuple):
     Attributes:
         samples: flat, rows of ``pitch`` samples; if ``split``, the even columns of a row are before its odd ones.
         sizes: flat, of the last three rows: the sizes of residuals.
-        sums, residuals: flat, of a row: weighted sums and residuals, from ``pitch`` / 2 on those of odd columns.
+        sums, residuals, entries: flat, of a row: weighted sums, residuals, and the entries of their choices
+            (``Rules``), from ``pitch`` / 2 on those of odd columns.
         marks: (rows, cols), which samples are missing; without rows if none is.
         shape: rows, cols.
         split: whether classes alternate along rows.
@@ -47,25 +49,35 @@ class Lines(NamedTuple):
     sizes: Flat
     sums: Flat
     residuals: Flat
+    entries: Flat
     marks: NDArray[np.bool_]
     shape: tuple[int, int]
     split: bool
     pitch: int
 
 
-@kernel
-def lines_of(numbers, classes, first, missing):
-    """A chunk's lines.
+class Rules(NamedTuple):
+    """What predicts samples.
 
-    Args:
-        first: the value above the first row. missing: whether samples are missing.
+    Attributes:
+        choices: of weights and shares (``put_choices``).
+        limits: (TESTS,) int32, of the tests that choose. tested: whether there are tests.
     """
+
+    choices: Flat
+    limits: Flat
+    tested: bool
+
+
+@linked
+def lines_of(numbers, classes, missing):
+    """A chunk's lines. Args: missing: whether samples are missing."""
     (rows, cols), split = numbers.shape, classes == CLASSES
     pitch = 2 * (-(-cols // (2 * LANES32)) + 1) * LANES32
     marks = numbers == MISSING if missing else np.empty((0, cols), np.bool_)
-    room = np.zeros(5 * pitch, np.int32)
+    room = np.zeros(6 * pitch, np.int32)
     samples, line = np.empty((rows + 2) * pitch, np.int32), np.empty(cols + 4, np.int32)
-    samples[: 2 * pitch] = line[2] = first
+    samples[: 2 * pitch] = line[2] = 0
     for row in range(rows):
         own, left = numbers[row], line[2]
         line[0] = line[1] = left
@@ -82,11 +94,11 @@ def lines_of(numbers, classes, first, missing):
                 line[col + 2] = left
         line[cols + 2] = line[cols + 3] = line[cols + 1]
         _put_line(line, split, samples[(row + 2) * pitch : (row + 3) * pitch])
-    return Lines(samples, room[: 3 * pitch], room[3 * pitch : 4 * pitch], room[4 * pitch :], marks, (rows, cols), split,
-                 pitch)  # fmt: skip
+    sizes, sums, residuals = room[: 3 * pitch], room[3 * pitch : 4 * pitch], room[4 * pitch : 5 * pitch]
+    return Lines(samples, sizes, sums, residuals, room[5 * pitch :], marks, (rows, cols), split, pitch)
 
 
-@kernel
+@linked
 def _put_line(line, split, out):
     """Copy a row, even columns first if it is split."""
     if split:
@@ -131,35 +143,49 @@ def rows_of(lines, row):
     return row * pitch, (row + 1) * pitch, (row + 2) * pitch, own[0], own[1], own[2]
 
 
-@kernel
-def factors_of(classes, weights, shares):
-    """Weights and shares of the first row, the second, and all others, by class."""
-    all_weights, all_shares = np.zeros((3, CLASSES, WEIGHTS), np.int32), np.zeros((3, CLASSES, SIGNS), np.int32)
-    for row in range(3):
-        for k in range(classes == CLASSES, classes):
-            own_factors(row, weights[k], shares[k], all_weights[row, k], all_shares[row, k])
-    return all_weights, all_shares
+@inlined
+def _picked(choices, k, entries):
+    """The choices of the weight or share k."""
+    return picked32(choices, k * ENTRIES, entries)
 
 
-@kernel
-def _miss(lines, rows, at, begin, count, w):
+@linked
+def _choose(lines, rows, at, begin, count, entry, rules):
+    """Find the entries of the choices of the samples of a parity.
+
+    Args:
+        at, begin, count: as in ``_miss``. entry: where no test holds. rules: none if they do not count in this row.
+    """
+    samples, (far, near), (_, b, c, d, _) = lines.samples, rows[:2], at
+    limits = rules.limits[0], rules.limits[1], rules.limits[2]
+    for t in range(0, count, LANES32):
+        north = load32(samples, near + c + t)
+        across, ahead = size_of(north - load32(samples, near + b + t)), size_of(north - load32(samples, near + d + t))
+        down = size_of(north - load32(samples, far + c + t))
+        store32(lines.entries, begin + t, outcome(across, ahead, down, limits) + entry)
+
+
+@linked
+def _miss(lines, rows, at, begin, count, choices):
     """Find the weighted sums, including the half that rounds them, and the residuals of the samples of a parity.
 
     Args:
-        at: from ``places_of``. begin: where sums and residuals go. w: (WEIGHTS,).
+        at: from ``places_of``. begin: where entries, sums and residuals go. choices: of the weights.
     """
     samples, sizes, (far, near, line, _, _, left), (a, b, c, d, e) = lines.samples, lines.sizes, rows, at
-    w0, w1, w2, w3, w4, w5, w6, w7, w8, w9, w10, w11 = (
-        w[0], w[1], w[2], w[3], w[4], w[5], w[6], w[7], w[8], w[9], w[10], w[11],
-    )  # fmt: skip
     for t in range(0, count, LANES32):
-        north = load32(samples, near + c + t)
-        upper = load32(samples, far + a + t) * w6 + load32(samples, far + b + t) * w7
-        upper += load32(samples, far + c + t) * w8 + load32(samples, far + d + t) * w9
-        upper += load32(samples, far + e + t) * w10 + north * w11
-        lower = load32(samples, near + a + t) * w2 + load32(samples, near + b + t) * w3
-        lower += load32(samples, near + d + t) * w4 + load32(samples, near + e + t) * w5
-        sums = upper + lower + load32(samples, line + b + t) * w0 + load32(samples, line + a + t) * w1 + 2048
+        own, north = load32(lines.entries, begin + t), load32(samples, near + c + t)
+        upper = load32(samples, far + a + t) * _picked(choices, 6, own)
+        upper += load32(samples, far + b + t) * _picked(choices, 7, own)
+        upper += load32(samples, far + c + t) * _picked(choices, 8, own)
+        upper += load32(samples, far + d + t) * _picked(choices, 9, own)
+        upper += load32(samples, far + e + t) * _picked(choices, 10, own) + north * _picked(choices, 11, own)
+        lower = load32(samples, near + a + t) * _picked(choices, 2, own)
+        lower += load32(samples, near + b + t) * _picked(choices, 3, own)
+        lower += load32(samples, near + d + t) * _picked(choices, 4, own)
+        lower += load32(samples, near + e + t) * _picked(choices, 5, own)
+        before = load32(samples, line + b + t) * _picked(choices, 0, own)
+        sums = upper + lower + before + load32(samples, line + a + t) * _picked(choices, 1, own) + 2048
         off = load32(samples, line + c + t) - north - (sums >> BITS)
         store32(lines.sums, begin + t, sums)
         store32(lines.residuals, begin + t, off)
@@ -168,17 +194,21 @@ def _miss(lines, rows, at, begin, count, w):
         sizes[left + c + t] = 0
 
 
-@kernel
-def miss_row(lines, row, weights):
-    """Find the weighted sums and residuals of a row. Args: weights: from ``factors_of``."""
-    rows, (first, end), own = rows_of(lines, row), parities_of(lines, row), weights[min(row, 2)]
+@linked
+def miss_row(lines, row, rules):
+    """Find the entries, weighted sums and residuals of a row."""
+    rows, (first, end), classes = rows_of(lines, row), parities_of(lines, row), CLASSES if lines.split else 1
     left, half = rows[5], lines.pitch // 2
     if first:  # (even columns hold nothing)
         lines.sizes[left : left + half] = 0
     for parity in range(first, end):
         at, count = places_of(lines, parity), count_of(lines, parity)
-        k = class_of(row, parity, CLASSES if lines.split else 1)
-        _miss(lines, rows, at, parity * half, count, own[k])
+        entry, begin = np.int32(entry_of(row, class_of(row, parity, classes))), parity * half
+        if rules.tested and row > 1:
+            _choose(lines, rows, at, begin, count, entry, rules)
+        else:
+            lines.entries[begin : begin + count + LANES32] = entry
+        _miss(lines, rows, at, begin, count, rules.choices)
         if lines.marks.size:
             marks = lines.marks[row, parity :: 2 if lines.split else 1]
             for t in range(count):
@@ -207,33 +237,43 @@ def signs_of(lines, rows, at, sums, t):
     )  # fmt: skip
 
 
-@kernel
-def _place(lines, rows, at, begin, count, s, kind, room, values, cells):
+@inlined
+def _active(e, choices, entries):
+    """The activities, from signs."""
+    k = WEIGHTS
+    above = e[0] * _picked(choices, k, entries) + e[1] * _picked(choices, k + 1, entries)
+    above += e[2] * _picked(choices, k + 2, entries) + e[3] * _picked(choices, k + 3, entries)
+    above += e[4] * _picked(choices, k + 4, entries) + e[5] * _picked(choices, k + 5, entries)
+    slopes = e[6] * _picked(choices, k + 6, entries) + e[7] * _picked(choices, k + 7, entries)
+    slopes += e[8] * _picked(choices, k + 8, entries) + e[9] * _picked(choices, k + 9, entries)
+    slopes += e[10] * _picked(choices, k + 10, entries) + e[11] * _picked(choices, k + 11, entries)
+    left = e[12] * _picked(choices, k + 12, entries) + e[13] * _picked(choices, k + 13, entries)
+    left += e[14] * _picked(choices, k + 14, entries) + e[15] * _picked(choices, k + 15, entries)
+    return above + slopes + left + e[16] * _picked(choices, k + 16, entries)
+
+
+@linked
+def _place(lines, rows, at, begin, count, choices, kind, room, values, cells):
     """Find the values and cells of the samples of a parity.
 
     Args:
-        at, begin, count: as in ``_miss``. s: (SIGNS,). kind: the first cell of their class.
+        at, begin, count: as in ``_miss``. choices: of the weights and shares. kind: the first cell of their class.
         room: where values and cells go; there is room for fifteen more.
     """
-    s0, s1, s2, s3, s4, s5, s6, s7, s8 = s[0], s[1], s[2], s[3], s[4], s[5], s[6], s[7], s[8]
-    s9, s10, s11, s12, s13, s14, s15, s16 = s[9], s[10], s[11], s[12], s[13], s[14], s[15], s[16]
     for t in range(0, count, LANES32):
-        sums = load32(lines.sums, begin + t)
+        sums, own = load32(lines.sums, begin + t), load32(lines.entries, begin + t)
         e = signs_of(lines, rows, at, sums, t)
-        active = e[0] * s0 + e[1] * s1 + e[2] * s2 + e[3] * s3 + e[4] * s4 + e[5] * s5 + e[6] * s6 + e[7] * s7
-        active += e[8] * s8 + e[9] * s9 + e[10] * s10 + e[11] * s11 + e[12] * s12 + e[13] * s13 + e[14] * s14
-        cell, turned = cell_of(active + e[15] * s15 + e[16] * s16, sums)
+        cell, turned = cell_of(_active(e, choices, own), sums)
         told = (load32(lines.residuals, begin + t) ^ turned) - turned
         store32(values, room + t, (told << 1) ^ (told >> 31))
         store32(cells, room + t, cell + kind)
 
 
-@kernel
-def look(lines, weights, shares, values, cells):
+@linked
+def look(lines, rules, values, cells):
     """Examine all samples, in the order of rows and, within these, of classes.
 
     Args:
-        weights, shares: from ``factors_of``.
         values, cells: (n + ``LANES32``,) int32, become those of the coded samples: zigzag-coded values, and cells:
             (class · ``GROUPS`` + group) · ``BINS`` + bin.
 
@@ -242,12 +282,12 @@ def look(lines, weights, shares, values, cells):
     """
     room, classes = 0, CLASSES if lines.split else 1
     for row in range(lines.shape[0]):
-        miss_row(lines, row, weights)
-        rows, (first, end), own = rows_of(lines, row), parities_of(lines, row), shares[min(row, 2)]
+        miss_row(lines, row, rules)
+        rows, (first, end) = rows_of(lines, row), parities_of(lines, row)
         for parity in range(first, end):
             at, count, k = places_of(lines, parity), count_of(lines, parity), class_of(row, parity, classes)
             begin = parity * (lines.pitch // 2)
-            _place(lines, rows, at, begin, count, own[k], k * GROUPS * BINS, room, values, cells)
+            _place(lines, rows, at, begin, count, rules.choices, k * GROUPS * BINS, room, values, cells)
             if lines.marks.size:
                 kept, marks = room, lines.marks[row, parity :: 2 if lines.split else 1]
                 for t in range(count):

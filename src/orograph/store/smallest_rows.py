@@ -6,16 +6,22 @@ prediction needs is already known. When a row ends, its lane continues with the 
 
 from __future__ import annotations
 
+import numpy as np
+
 from orograph._lanes import LANES32, least, most, where
 from orograph._lanes32 import float_bits, least_unsigned, shifted_right
-from orograph._numba import inlined, kernel, shared
+from orograph._numba import inlined, linked, shared
 from orograph.store.codec_head import NEIGHBOURS, TOTAL
 
-VERSION = 3
+VERSION = 4
 LAG = 3  # samples that a row is behind the one above it
 CLASSES = 4  # most classes: of samples, by the parity of row and column
 SIGNS = 17  # terms of an activity
 WEIGHTS = NEIGHBOURS + 1
+TESTS = 3  # of a sample's surroundings, which choose its set of weights and shares
+CHOICES = 1 << TESTS  # most sets: one for each outcome, or one for each class
+ENTRIES = 16  # of each weight and share, to choose from: those of the sets, and of the first two rows
+TOP, SECOND = 13, 14  # where the latter are
 GROUPS = 64  # of activity: four per octave
 OCTAVE = 7  # bits of the least activity beyond the first group
 LOWEST = (127 + OCTAVE - 1) * 4  # quarter octaves below the first group, as the bits of a float count them
@@ -23,8 +29,11 @@ BINS = 5  # of the position of a prediction
 SETS = 48  # most tables
 CAP = 4095  # largest value of a sign
 SMALL = 307  # of activity, in 1/256: below this, the bin depends on the fractional part of the prediction
-HEADER = 8
-CLASS = 2 * NEIGHBOURS + SIGNS  # bytes of a class
+HEADER = 12
+SET = 2 * NEIGHBOURS + SIGNS  # bytes of a set
+SHORT_SET = 28  # bytes of a set where tests choose it: 11 bits for a weight, 6 for a share
+WEIGHT_BITS, SHARE_BITS = 11, 6
+COARSE_WEIGHT, COARSE_SHARE = 4, 2  # bits of weights and shares that are not written there
 
 
 @shared
@@ -51,26 +60,57 @@ def class_of(row, col, classes):
     return 2 * (row & 1) + (col & 1) if classes == CLASSES else 0
 
 
-@kernel
-def own_factors(row, weights, shares, own_weights, own_shares):
-    """The weights and shares of a row: the first two rows have less above them.
+@shared
+def entry_of(row, set_):
+    """Which entry of the choices the samples of a row have, by their set."""
+    return set_ if row > 1 else SECOND + (set_ & 1) if row else TOP
+
+
+@linked
+def put_choices(first, sets, weights, shares, choices):
+    """Put the weights and shares of sets where they are chosen from.
 
     Args:
-        weights, own_weights: (WEIGHTS,) int32, in 1/4096. shares, own_shares: (SIGNS,) int32, in 1/256.
+        first, sets: the first set, and one more than the last. weights: (CHOICES, WEIGHTS) int32, in 1/4096.
+        shares: (CHOICES, SIGNS) int32, in 1/256.
+        choices: flat, becomes ``ENTRIES`` of each weight and, after these, of each share.
     """
-    own_weights[:], own_shares[:] = weights, shares
-    if row == 0:
-        own_weights[:], own_shares[:] = 0, 0
-        own_weights[0], own_weights[1], own_weights[NEIGHBOURS] = 6144, -2048, -4096
-        own_shares[12] = own_shares[14] = 128
-    elif row == 1:  # (the row above also serves as the one two above)
-        own_weights[2] += weights[6]
-        own_weights[3] += weights[7]
-        own_weights[4] += weights[9]
-        own_weights[5] += weights[10]
-        own_weights[NEIGHBOURS] += weights[8]
+    put_one(choices, TOP, np.zeros(WEIGHTS, np.int32), np.zeros(SIGNS, np.int32))
+    choices[TOP], choices[ENTRIES + TOP], choices[NEIGHBOURS * ENTRIES + TOP] = 6144, -2048, -4096
+    choices[(WEIGHTS + 12) * ENTRIES + TOP] = choices[(WEIGHTS + 14) * ENTRIES + TOP] = 128
+    for k in range(first, sets):
+        put_one(choices, k, weights[k], shares[k])
+    for k in range(first, min(sets, CLASSES) if first else 1):
+        own_weights, own_shares = weights[k].copy(), shares[k].copy()
+        own_weights[2] += own_weights[6]  # (the row above also serves as the one two above)
+        own_weights[3] += own_weights[7]
+        own_weights[4] += own_weights[9]
+        own_weights[5] += own_weights[10]
+        own_weights[NEIGHBOURS] += own_weights[8]
         own_weights[6:NEIGHBOURS] = 0
         own_shares[5], own_shares[8], own_shares[9], own_shares[10] = 0, 0, 0, 0
+        if k != 1:  # (that of even rows)
+            put_one(choices, SECOND + (k & 1), own_weights, own_shares)
+
+
+@linked
+def put_one(choices, entry, weights, shares):
+    """Put one set of weights and shares in its place."""
+    for m in range(WEIGHTS):
+        choices[m * ENTRIES + entry] = weights[m]
+    for m in range(SIGNS):
+        choices[(WEIGHTS + m) * ENTRIES + entry] = shares[m]
+
+
+@inlined
+def outcome(across, ahead, down, limits):
+    """The outcome of the tests of a sample, 0 to 7: whether the differences of N from NW, from NE and from NN are
+    beyond their limits: lanes.
+
+    Args:
+        across, ahead, down: these differences. limits: of each, lanes or numbers.
+    """
+    return where(across > limits[0], 1, 0) + where(ahead > limits[1], 2, 0) + where(down > limits[2], 4, 0)
 
 
 @inlined

@@ -119,10 +119,10 @@ export function decodeStep(stream, coded) {
 
 export function decode(data, rows, cols) {
   const bytes = new Bytes(data);
-  must(bytes.byte() === 2, "it is of another version of the codec, or no chunk of it");
+  must(bytes.byte() === 3, "it is of another version of the codec, or no chunk of it");
   const mode = bytes.byte(), contexts = bytes.byte(), shift = bytes.byte();
   must(mode <= 2 && contexts >= 1 && contexts <= 8 && shift <= 15, "its head is not possible");
-  const first = bytes.take(4, DataView.prototype.getInt32);
+  const origin = bytes.take(4, DataView.prototype.getInt32), factor = bytes.take(4, DataView.prototype.getUint32);
   const weights = Array.from({ length: 11 }, () => bytes.take(2, DataView.prototype.getInt16));
   const least = Array.from({ length: contexts - 1 }, () => bytes.byte());
   const all = Array.from({ length: contexts }, () => table(bytes));
@@ -138,7 +138,7 @@ export function decode(data, rows, cols) {
       decodeStep(stream, coded);
       for (const { lane, value } of coded) values[col + lane] = value;
     }
-    rebuild(out, row, cols, values, weights, first);
+    rebuild(out, row, cols, values, weights);
     for (let j = 0; j < width; j++) magnitude[j + 2] = Math.min(values[j], 65535);
     for (let j = 0; j < width; j++) {
       const m = magnitude.subarray(j, j + 5);
@@ -146,14 +146,14 @@ export function decode(data, rows, cols) {
     }
   }
   must(bytes.at === data.length && stream.states.every((s) => s === 65536), "its stream does not end where it must");
-  if (marks) for (let k = 0; k < out.length; k++) if (marks[k]) out[k] = MISSING;
+  for (let k = 0; k < out.length; k++) out[k] = marks?.[k] ? MISSING : origin + Math.imul(factor, out[k]);
   return out;
 }
 
-function rebuild(out, row, cols, values, w, first) {
+function rebuild(out, row, cols, values, w) {
   const here = row * cols;
   if (row === 0) {
-    for (let col = 0, west = first; col < cols; col++) out[col] = west = (west + unzigzag(values[col])) | 0;
+    for (let col = 0, west = 0; col < cols; col++) out[col] = west = (west + unzigzag(values[col])) | 0;
     return;
   }
   const near = here - cols, far = row === 1 ? near : near - cols, last = cols - 1;

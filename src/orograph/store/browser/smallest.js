@@ -7,12 +7,12 @@
 import { Bytes, LANES, MISSING, Stream, decodeStep, missing, must, table, unzigzag } from "./compact.js";
 
 const BINS = 5, GROUPS = 64, LAG = 3, SMALL = 307;
-const FIRST = { weights: [6144, -2048, 0, 0, 0, 0, 0, 0, 0, 0, 0], shares: [...new Array(12).fill(0), 128, 0, 128, 0, 0] };
+const TOP = { weights: [6144, -2048, 0, 0, 0, 0, 0, 0, 0, 0, 0], shares: [...new Array(12).fill(0), 128, 0, 128, 0, 0] };
 const size = (difference) => Math.min(Math.abs(difference | 0), 4095);
 
-function tablesByCell(bytes, classes, tables) {
+function bitsOf(bytes) {
   let left = 0, held = 0;
-  const bits = (count) => {
+  return (count) => {
     let value = 0;
     for (let k = 0; k < count; k++, left--, held >>= 1) {
       if (left === 0) [held, left] = [bytes.byte(), 8];
@@ -20,7 +20,29 @@ function tablesByCell(bytes, classes, tables) {
     }
     return value;
   };
-  const cells = [];
+}
+
+// The sets of weights and shares, and the limits of the tests that choose one of eight.
+function setsOf(bytes, form) {
+  const some = (count, read) => Array.from({ length: count }, read);
+  if (form !== 8)
+    return {
+      limits: [],
+      sets: some(form === 4 ? 3 : 1, () => ({
+        weights: some(11, () => bytes.take(2, DataView.prototype.getInt16)),
+        shares: some(17, () => bytes.byte()),
+      })),
+    };
+  const limits = some(3, () => bytes.take(2, DataView.prototype.getUint16));
+  const sets = some(8, () => {
+    const bits = bitsOf(bytes);
+    return { weights: some(11, () => ((bits(11) << 21) >> 21) * 16), shares: some(17, () => bits(6) * 4) };
+  });
+  return { limits, sets };
+}
+
+function tablesByCell(bytes, classes, tables) {
+  const bits = bitsOf(bytes), cells = [];
   for (let k = 0, at = 0; k < classes; k++)
     for (let group = 0; group < GROUPS; group++)
       for (let bin = 0; bin < BINS; bin++, at++) {
@@ -32,11 +54,15 @@ function tablesByCell(bytes, classes, tables) {
   return cells;
 }
 
-// Weights and shares of a row: the row two above the second one counts as the one above it.
-function factorsOf(row, { weights, shares }) {
-  if (row === 0) return FIRST;
-  if (row > 1) return { weights, shares };
-  const [w, ww, nww, nw, ne, nee, nnww, nnw, , nne, nnee] = weights;
+// Weights and shares of a sample of a class. In the second row, the row above also counts as the one two above.
+function factorsOf(samples, width, row, col, part, { limits, sets }) {
+  if (row === 0) return TOP;
+  if (row > 1) {
+    const near = (row + 1) * width + col + 2, others = [near - 1, near + 1, near - width];
+    const beyond = (limit, k) => size(samples[near] - samples[others[k]]) > limit;
+    return sets[part + limits.reduce((sum, limit, k) => sum + (beyond(limit, k) << k), 0)];
+  }
+  const { weights, shares } = sets[part], [w, ww, nww, nw, ne, nee, nnww, nnw, , nne, nnee] = weights;
   const own = [w, ww, nww + nnww, nw + nnw, ne + nne, nee + nnee, 0, 0, 0, 0, 0];
   return { weights: own, shares: shares.map((share, k) => ([5, 8, 9, 10].includes(k) ? 0 : share)) };
 }
@@ -69,18 +95,15 @@ function foreseen(samples, sizes, width, row, col, { weights, shares }) {
 
 export function decode(data, rows, cols) {
   const bytes = new Bytes(data);
-  must(bytes.byte() === 3, "it is of another version of the codec, or no chunk of it");
-  const mode = bytes.byte(), kinds = bytes.byte(), count = bytes.byte(), nested = kinds === 4;
-  must(mode <= 2 && (kinds === 1 || nested) && count >= 1 && count <= 48, "its head is not possible");
-  const first = bytes.take(4, DataView.prototype.getInt32), classes = Array.from({ length: nested ? 3 : 1 }, () => ({
-    weights: Array.from({ length: 11 }, () => bytes.take(2, DataView.prototype.getInt16)),
-    shares: Array.from({ length: 17 }, () => bytes.byte()),
-  }));
-  const cells = tablesByCell(bytes, classes.length, count);
+  must(bytes.byte() === 4, "it is of another version of the codec, or no chunk of it");
+  const mode = bytes.byte(), form = bytes.byte(), count = bytes.byte(), nested = form === 4;
+  must(mode <= 2 && [1, 4, 8].includes(form) && count >= 1 && count <= 48, "its head is not possible");
+  const origin = bytes.take(4, DataView.prototype.getInt32), factor = bytes.take(4, DataView.prototype.getUint32);
+  const rules = setsOf(bytes, form), cells = tablesByCell(bytes, nested ? 3 : 1, count);
   const tables = Array.from({ length: count }, () => table(bytes));
   const marks = mode ? missing(bytes, mode, rows, cols) : new Uint8Array(rows * cols);
   const lanes = Math.min(rows, LANES), stream = new Stream(bytes, lanes), width = cols + 4;
-  const samples = new Int32Array((rows + 2) * width).fill(first), sizes = new Int32Array((rows + 2) * width);
+  const samples = new Int32Array((rows + 2) * width), sizes = new Int32Array((rows + 2) * width);
   const period = Math.max(2 * Math.floor((cols + 5) / 2), LAG * LANES), steps = Math.ceil(rows / LANES) * period + LAG * (LANES - 1);
   for (let step = 0; step < steps; step++) {
     const coded = [], others = [];
@@ -92,7 +115,7 @@ export function decode(data, rows, cols) {
       const part = nested ? 2 * (row & 1) + (col & 1) - 1 : 0;
       if (part < 0 || marks[row * cols + col]) others.push(line + col + 2);
       else {
-        const one = foreseen(samples, sizes, width, row, col, factorsOf(row, classes[part]));
+        const one = foreseen(samples, sizes, width, row, col, factorsOf(samples, width, row, col, part, rules));
         coded.push({ ...one, lane, table: tables[cells[part * GROUPS * BINS + one.cell]] });
       }
     }
@@ -108,7 +131,9 @@ export function decode(data, rows, cols) {
   must(bytes.at === data.length && stream.states.every((s) => s === 65536), "its stream does not end where it must");
   const out = new Int32Array(rows * cols);
   for (let row = 0, k = 0; row < rows; row++)
-    for (let col = 0; col < cols; col++, k++)
-      out[k] = marks[k] ? MISSING : nested && !((row | col) & 1) ? 0 : samples[(row + 2) * width + col + 2];
+    for (let col = 0; col < cols; col++, k++) {
+      const sample = origin + Math.imul(factor, samples[(row + 2) * width + col + 2]);
+      out[k] = marks[k] ? MISSING : nested && !((row | col) & 1) ? 0 : sample;
+    }
   return out;
 }
