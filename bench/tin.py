@@ -5,7 +5,8 @@
 For each bound: the TIN that keeps it on the surface, and the one that keeps it at samples; pydelatin with the same
 bound; and quadric simplification (meshoptimizer, fast-simplification; Garland & Heckbert 1997) to as many triangles as
 the TIN on the surface has. The referee (``verify.judge_mesh``) measures all errors, in vertical metres: on the surface,
-and at samples. Times are processor seconds of one thread. Only the TIN is run on rasters with missing samples, because
+and at samples. Times are processor seconds of one thread; of the TIN
+and pydelatin the least of three. Only the TIN is run on rasters with missing samples, because
 its peers do not support them. Without a DEM, the terrain is synthetic (``orograph synth --seed 7``).
 """
 
@@ -28,9 +29,14 @@ from synthetic import synthetic
 Row = tuple[str, Tessellation, float]
 
 
-def timed(work: Callable[[], Any]) -> tuple[Any, float]:
-    began = time.process_time()
-    return work(), time.process_time() - began
+def timed(work: Callable[[], Any], tries: int = 1) -> tuple[Any, float]:
+    """The result, and the least time of some tries."""
+    least = float("inf")
+    for _ in range(tries):
+        began = time.process_time()
+        made = work()
+        least = min(least, time.process_time() - began)
+    return made, least
 
 
 def oriented(terrain: MemoryTerrain, vertices: np.ndarray, triangles: np.ndarray, free: bool = False) -> Tessellation:
@@ -61,7 +67,7 @@ def delatin(terrain: MemoryTerrain, limit: float) -> Row:
     from pydelatin import Delatin
 
     heights = np.ascontiguousarray(terrain.heights)
-    made, seconds = timed(lambda: Delatin(heights, max_error=limit))
+    made, seconds = timed(lambda: Delatin(heights, max_error=limit), 3)
     vertices = np.array(made.vertices, np.float64)
     vertices[:, 1] = heights.shape[0] - 1 - vertices[:, 1]
     return "pydelatin", oriented(terrain, vertices, np.array(made.triangles)), seconds
@@ -99,7 +105,7 @@ def quadrics(terrain: MemoryTerrain, goal: int) -> list[Row]:
 def table(terrain: MemoryTerrain, limit: float, side: int) -> None:
     rows: list[Row] = []
     for bound in ("surface", "samples"):
-        mesh, seconds = timed(lambda bound=bound: tin(terrain, limit, bound=bound, jobs=1, side=side))
+        mesh, seconds = timed(lambda bound=bound: tin(terrain, limit, bound=bound, jobs=1, side=side), 3)
         rows.append((f"TIN, {bound}", mesh, seconds))
     if not np.isnan(terrain.heights).any():
         rows += [delatin(terrain, limit), *quadrics(terrain, len(rows[0][1].triangles))]

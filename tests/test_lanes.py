@@ -11,16 +11,20 @@ from orograph._lanes import (
     LANES,
     corners,
     counted,
+    first_of,
     gather,
+    largest_of,
     least,
     load,
     most,
+    one_of,
     real,
     scatter,
     size,
     some,
     spread,
     store,
+    sum_of,
     where,
     whole,
 )
@@ -190,3 +194,22 @@ def assert_same(out: np.ndarray, expected: list[np.ndarray], signs: slice = slic
     np.testing.assert_array_equal(out, wanted)
     valid = ~np.isnan(wanted[signs])
     np.testing.assert_array_equal(np.signbit(out[signs])[valid], np.signbit(wanted[signs])[valid])
+
+
+@kernel
+def joined(x, singles, marks, out):
+    a = load(x, 0)
+    store(out, 0, load(singles, 3))
+    return largest_of(a), sum_of(a), one_of(a, 5), one_of(load(marks, 0), 2), first_of(load(marks, 0) == 1)
+
+
+def test_all_lanes_are_joined_into_one() -> None:
+    rng = np.random.default_rng(1)
+    singles, out = rng.normal(size=(4, 5)).astype(np.float32), np.empty(8)
+    for first in range(8):
+        x, marks = rng.normal(0, 10.0 ** rng.integers(-9, 9, 8)), np.arange(8) + 1 - first
+        largest, total, sixth, third, found = joined(x, singles, marks, out)
+        halves = x[:4] + x[4:]
+        assert total == (halves[0] + halves[2]) + (halves[1] + halves[3])
+        assert (largest, sixth, third, found) == (x.max(), x[5], 3 - first, first)
+        assert (out == singles.ravel()[3:11]).all()

@@ -200,6 +200,54 @@ def some(typing: Any, marks: Any) -> Any:
 
 
 @operation
+def first_of(typing: Any, marks: Any) -> Any:
+    """The first marked lane; undefined if there is none."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        bits = builder.bitcast(args[0], ir.IntType(args[0].type.count))
+        return builder.zext(builder.cttz(bits, ir.Constant(ir.IntType(1), 1)), ir.IntType(64))
+
+    return types.int64(marks), lowered
+
+
+@operation
+def one_of(typing: Any, values: Any, index: Any) -> Any:
+    """The number of one lane."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.extract_element(args[0], context.cast(builder, args[1], sig.args[1], types.int32))
+
+    return SCALARS[values.kind](values, types.unliteral(index)), lowered
+
+
+def _halved(builder: Any, values: Any, join: Callable[[Any, Any], Any]) -> Any:
+    """One number of all lanes, joined pair by pair: each with the one half of the lanes further on."""
+    while (half := values.type.count // 2) > 0:
+        values = join(*(_picked(builder, values, values, range(k, k + half)) for k in (0, half)))
+    return builder.extract_element(values, _at(0))
+
+
+@operation
+def largest_of(typing: Any, values: Any) -> Any:
+    """The largest of eight floats that are numbers."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _halved(builder, args[0], lambda a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b))
+
+    return types.float64(values), lowered
+
+
+@operation
+def sum_of(typing: Any, values: Any) -> Any:
+    """The sum of eight floats, each first added to the fourth after it, and so on by halves."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _halved(builder, args[0], builder.fadd)
+
+    return types.float64(values), lowered
+
+
+@operation
 def fused(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """a · b + c of floats, rounded once."""
 
@@ -293,13 +341,14 @@ def _picked(builder: Any, a: Any, b: Any, order: range) -> Any:
 
 @operation
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """Eight elements of a flat array of float64 or int64 from ``index`` on."""
+    """Eight elements of an array of float32, float64 or int64 from ``index`` on, counted as if it were flat."""
+    single = array.dtype == types.float32
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        place = _place(context, builder, array, args, sig)
-        return builder.load(place, align=8)
+        found = builder.load(_place(context, builder, array, args, sig), align=4 if single else 8)
+        return builder.fpext(found, VECTORS["float"]) if single else found
 
-    return (FLOATS if array.dtype == types.float64 else INTS)(array, index), lowered
+    return (INTS if array.dtype == types.int64 else FLOATS)(array, index), lowered
 
 
 @operation

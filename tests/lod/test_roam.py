@@ -463,6 +463,27 @@ def test_colors_split_what_heights_do_not():
     assert (sizes[middle < 31] == 1).all() and (sizes[middle > 40] > 1).all()
 
 
+def test_without_culling_colors_count_out_of_view():
+    """As with the other methods: on ground behind the eye, down to a pixel at its distance; in view no less."""
+    t = plain.terrain(np.zeros((65, 65), np.float32))
+
+    def color(level, row0, row1, col0, col1):
+        return np.full((row1 - row0, col1 - col0), 10.0, np.float32)
+
+    (x, y), (u, v) = t.grid.xy(60, 32), t.grid.xy(64, 32)
+    view = View((float(x), float(y), 100.0), (float(u), float(v), 0.0), width=64, height=48)
+    sizes = []
+    for options in ({}, {"cull": False}):
+        made = plain.refiner(Roam, t, color=color, color_tolerance=5.0, **options).refine(view)
+        p, q, r = (made.vertices[made.triangles[:, k], :2] for k in range(3))
+        size = np.abs((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+        sizes.append((len(size), size[((p + q + r) / 3)[:, 0] < 40]))
+    assert sizes[1][0] > sizes[0][0]
+    assert len(sizes[1][1]) > 500 and np.median(sizes[1][1]) == 1
+    calm = plain.refiner(Roam, t, color=color, color_tolerance=11.0, cull=False).refine(view)
+    assert len(calm.triangles) == 2
+
+
 def test_another_grid_of_the_same_ground_moves_nothing():
     """South-up rasters: the same triangles, turned as the map wants them."""
     rng = np.random.default_rng(2)

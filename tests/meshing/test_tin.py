@@ -145,6 +145,23 @@ def _off(heights, a, b, p) -> float:
     return abs(za + t * (zb - za) - float(heights[p[1], p[0]]))
 
 
+@pytest.mark.parametrize("part", [0.0, 0.1, 0.5])
+def test_edges_are_counted_at_their_starts(part: float) -> None:
+    heights = np.where(np.random.default_rng(7).random((12, 15)) < part, np.nan, 0).astype(np.float32)
+    units = tin_outline.unit_triangles(heights)
+    counts = np.zeros((12, 15, 4), np.int64)
+    for i, j in np.ndindex(11, 14):
+        nw, ne, sw, se = (i, j), (i, j + 1), (i + 1, j), (i + 1, j + 1)
+        halves = ((nw, ne, se), (nw, se, sw)) if (i + j) % 2 == 0 else ((nw, ne, sw), (ne, se, sw))
+        for half, exists in zip(halves, units[i, j]):
+            assert exists == (not any(np.isnan(heights[p]) for p in half))
+            for p, q in {tuple(sorted((a, b))) for a in half for b in half if a != b} if exists else ():
+                way = q[0] - p[0], q[1] - p[1]
+                counts[p][[(0, 1), (1, 0), (1, 1), (1, -1)].index(way)] += 1
+    ground, outline = tin_outline.edges_of(units)
+    assert (ground == (counts > 0) @ tin_outline.BITS).all() and (outline == (counts == 1) @ tin_outline.BITS).all()
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_a_run_keeps_the_fewest_samples(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -7,13 +7,14 @@ a diamond at a time (``store.tin_build``): the vertices along an edge of the hie
 so adjacent patches list the same vertices, whatever their levels. The finest patches are the samples themselves.
 
 A diamond is split if its error, measured on the surface and saturated, projected over its nested sphere, exceeds the
-tolerance, and its parents are split. Only unpacked patches are kept from frame to frame. Diamonds over both ground and
-missing ground have no TINs: there the mesh is refined to the samples. Geomorphs (not in the paper) are those of
-``tin_morphs``. Pixels, samples, metres.
+tolerance, or its colours are off (``tin_colors``), and its parents are split. Only unpacked patches are kept from frame
+to frame. Diamonds over both ground and missing ground have no TINs: there the mesh is refined to the samples. Geomorphs
+(not in the paper) are those of ``tin_morphs``. Pixels, samples, metres.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -23,25 +24,32 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orograph.errors import UsageError
 from orograph.hierarchy import diamonds, triangles
 from orograph.lod.budget import by_tolerance
+from orograph.lod.field import ColorErrors
 from orograph.lod.method import EVERYTHING, Goal, MethodInfo, Need, Ready
 from orograph.lod.options import option
 from orograph.lod.patches.expand import heights_of
 from orograph.lod.patches.pager import Pager
 from orograph.lod.patches.shape import INSTANCE, STEPS, patch_indices, patch_vertices
-from orograph.lod.right_triangles import METRIC, RightTriangleOptions
+from orograph.lod.right_triangles import METRIC, MeshOptions
 from orograph.lod.selection import TinBatch, TinBatches
+from orograph.lod.tin_colors import color_errors
 from orograph.lod.tin_morphs import Morphs, Name, Separated, share_of
 from orograph.lod.triangle_patches import Patches, TrianglePatches
 from orograph.lod.vertex_cache import for_cache
 from orograph.parallel import map_ordered
+from orograph.store.patches import MemoryPatches
 from orograph.store.terrain import TILE, Terrain
 from orograph.store.tin_build import make_tins
 from orograph.store.tin_diamonds import Workplace, tins_of
 from orograph.store.tins import ALL_LEGS, LEGS, Tins
 from orograph.tessellation import turn
 from orograph.viewpoint import Camera
+
+COLOR_BYTES = 12
+"""Of a sample's colour."""
 
 TRIANGLE_BYTES = 36
 """Of an unpacked patch, for each of its triangles, about: vertices and triangles."""
@@ -67,7 +75,7 @@ class TinTerrain:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class BdamOptions(RightTriangleOptions):
+class BdamOptions(MeshOptions):
     """Options of ``bdam``."""
 
     error: str = option("exact", "Errors of TINs are measured on the surface; there are no others.", choices=("exact",))
@@ -94,6 +102,7 @@ class Bdam(TrianglePatches):
         "bdam", "a small TIN for every triangle of the hierarchy, simplified bottom up; batches of 256 triangles",
         "Cignoni et al. 2003", "batches", BdamOptions, lambda options: options.conservative,
     )  # fmt: skip
+    samples_colored = True
 
     def __init__(self, *args: Any, **given: Any) -> None:
         super().__init__(*args, **given)
@@ -118,7 +127,26 @@ class Bdam(TrianglePatches):
         )
         table = Separated(self.terrain, self.tins) if self.options.geomorph else self.tins
         ground: Any = TinTerrain(self.terrain, table)
-        return Pager(ground, self.error, max_memory=self.resources.max_memory, jobs=jobs)
+        return Pager(ground, self.error, color=self._colors(), max_memory=self.resources.max_memory, jobs=jobs)
+
+    def _colors(self) -> ColorErrors | None:
+        """The color errors of the TINs, if colours count."""
+        if self.color_tolerance == math.inf:
+            return None
+        if not hasattr(self.resources.color, "colors"):
+            raise UsageError(
+                "A color tolerance needs colours.", remedy="Give the colours of samples with the resources."
+            )
+        rows, cols = self.terrain.grid.shape
+        window = self.resources.color.colors
+        if COLOR_BYTES * rows * cols <= self.resources.max_memory // 4:
+            whole: NDArray[np.float32] = window(0, rows, 0, cols)
+
+            def window(row0: int, row1: int, col0: int, col1: int) -> NDArray[np.float32]:
+                return whole[row0:row1, col0:col1]
+
+        found = color_errors(self.terrain, self.tins, window, jobs=self.jobs, progress=self.resources.progress)
+        return MemoryPatches(self.terrain, found).read
 
     @classmethod
     def needs(cls, options: Any) -> tuple[Need, ...]:

@@ -47,15 +47,14 @@ def colors_at(vertices, lab, row0, rows, out):
 
 
 @kernel
-def channels(tree, colors, lab, row0, out):
-    """Raise the largest differences (v, 3) of channels, of the vertices that split triangles, by a band of samples."""
+def channels(p, owner, corners, colors, lab, row0, out):
+    """Raise the largest differences (v, 3) of channels, of what owns triangles, by a band of samples."""
     rows, cols, _ = lab.shape
-    p = tree.vertices
-    for t in range(len(tree.node)):
-        v = tree.node[t]
+    for t in range(len(owner)):
+        v = owner[t]
         if v < 0:
             continue
-        a, b, c = tree.corners[t, 0], tree.corners[t, 1], tree.corners[t, 2]
+        a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
         north, south = min(p[a, 1], min(p[b, 1], p[c, 1])) - row0, max(p[a, 1], max(p[b, 1], p[c, 1])) - row0
         west, east = min(p[a, 0], min(p[b, 0], p[c, 0])), max(p[a, 0], max(p[b, 0], p[c, 0]))
         dx, dy, ex, ey = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1], p[c, 0] - p[a, 0], p[c, 1] - p[a, 1]
@@ -89,20 +88,34 @@ def saturate(parents, errors):
                     changed = True
 
 
+def largest_changes(
+    vertices: NDArray[np.float64], owner: NDArray[np.int32], corners: NDArray[np.int32], owners: int,
+    shape: tuple[int, int], window: Window,
+) -> NDArray[np.float32]:  # fmt: skip
+    """How far off the colours of triangles are, for all that belong together: (owners,) ΔE.
+
+    Args:
+        vertices: (v, 3) column, row and height. owner: (t,), of each triangle; negative: it does not count.
+        corners: (t, 3) of these. shape: of the samples. window: of their colours.
+    """
+    rows, cols = shape
+    colors = np.full((len(vertices), 3), np.nan)
+    for row in range(0, rows, ROWS):
+        own = min(ROWS, rows - row)
+        colors_at(vertices, window(row, min(row + own + 1, rows), 0, cols), row, own, colors)
+    off = np.zeros((owners, 3))
+    for row in range(0, rows, ROWS):
+        channels(vertices, owner, corners, colors, window(row, min(row + ROWS, rows), 0, cols), row, off)
+    found: NDArray[np.float32] = np.sqrt(np.square(off).sum(1)).astype(np.float32)
+    return found
+
+
 def color_errors(tree: Hierarchy, shape: tuple[int, int], window: Window) -> NDArray[np.float32]:
     """Color errors (v,) of a hierarchy's vertices, ΔE.
 
     Args:
         tree: all of it. shape: of the raster. window: of its samples' colours.
     """
-    rows, cols = shape
-    colors = np.full((len(tree.vertices), 3), np.nan)
-    for row in range(0, rows, ROWS):
-        own = min(ROWS, rows - row)
-        colors_at(tree.vertices, window(row, min(row + own + 1, rows), 0, cols), row, own, colors)
-    off = np.zeros_like(colors)
-    for row in range(0, rows, ROWS):
-        channels(tree, colors, window(row, min(row + ROWS, rows), 0, cols), row, off)
-    found: NDArray[np.float32] = np.sqrt(np.square(off).sum(1)).astype(np.float32)
+    found = largest_changes(tree.vertices, tree.node, tree.corners, len(tree.vertices), shape, window)
     saturate(tree.parents, found)
     return found

@@ -1,32 +1,66 @@
-"""Greedy insertion: the sample farthest from the TIN becomes a vertex, until none exceeds the bound.
+"""Greedy insertion: the samples farthest from the TIN become vertices, until none exceeds the bound.
 
-Each triangle knows its worst sample; a heap of triangles gives the worst of all; after an insertion only the triangles
-around the new vertex are assessed again (Garland & Heckbert 1995, *Fast polygonal approximation of terrains and height
-fields*, §4.3, algorithm III). For a bound on the surface, a second run also checks the crossings of edges with the
+Each triangle knows its worst sample, and after an insertion only the triangles around the new vertex are assessed again
+(Garland & Heckbert 1995, *Fast polygonal approximation of terrains and height fields*, §4.3, algorithm III). The paper
+always inserts the worst sample of all. Here the bound falls by halves to the requested one, and all triangles above it
+take their worst samples, those around the last new vertex first: next to the same vertices, without a heap and close
+together in memory. For a bound on the surface, a second run also checks the crossings of edges with the
 surface's edges, and inserts the nearer sample of the edge with the worst crossing. In a Delaunay triangulation an edge
 of the surface between two vertices is an edge of the TIN, so one of the two samples is free.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from orograph._numba import kernel, leaf
+import numpy as np
+from numpy.typing import NDArray
+
+from orograph._numba import inlined, kernel
 from orograph.triangulation.deviation import worst_crossing, worst_sample
-from orograph.triangulation.heap import put_in, take_out
 from orograph.triangulation.mesh import TRIANGLES, after, before, insert, locate
 
+RATIO = 2.0
+"""Of two bounds on the way to the requested one."""
 
-@leaf
+
+class Worst(NamedTuple):
+    """The worst samples of triangles.
+
+    Attributes:
+        error: (t,) float64, metres; 0 if no sample may become a vertex. x, y: (t,) int32, the sample with that error.
+        todo: (t,) int32, a stack of triangles. waiting: (t,) uint8, whether a triangle is on it.
+    """
+
+    error: NDArray[np.float64]
+    x: NDArray[np.int32]
+    y: NDArray[np.int32]
+    todo: NDArray[np.int32]
+    waiting: NDArray[np.uint8]
+
+
+def room_for(rows: int, cols: int) -> Worst:
+    """Room for all triangles of a window; unused pages take no memory."""
+    room = 2 * rows * cols
+    return Worst(
+        np.empty(room), np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room, np.int32),
+        np.zeros(room, np.uint8),
+    )  # fmt: skip
+
+
+@inlined
 def is_free(m, x, y):
     """Whether a sample may become a vertex: it is not one yet, and not on the window's border, which others share."""
     rows, cols = m.at.shape
     return m.at[y, x] < 0 and 0 < x < cols - 1 and 0 < y < rows - 1
 
 
-@leaf
-def assess(m, heights, q, t, limit, surface):
-    """Find the worst error of a triangle, and put the triangle into the heap if it exceeds the limit."""
+@inlined
+def assess(m, heights, w, t, limit, surface):
+    """Find the worst error of a triangle."""
+    w.error[t] = 0.0
+    if not m.live[t]:
+        return
     h = 3 * t
     error, x, y = worst_sample(heights, m, m.corner[h], m.corner[h + 1], m.corner[h + 2])
     if surface:
@@ -41,41 +75,66 @@ def assess(m, heights, q, t, limit, surface):
                         near_x, near_y = far_x, far_y
                     if is_free(m, near_x, near_y):
                         error, x, y = off, near_x, near_y
-    if error <= limit:
-        take_out(q, t)
-        return
-    put_in(q, t, error, x, y)
+    w.error[t], w.x[t], w.y[t] = error, x, y
+
+
+@inlined
+def push(w, t, level, count):
+    """Put a triangle on the stack if it exceeds the level and is not there yet. Returns the number on the stack."""
+    if w.error[t] <= level or w.waiting[t]:
+        return count
+    w.todo[count], w.waiting[t] = t, 1
+    return count + 1
+
+
+@inlined
+def refine_to(m, heights, w, level, limit, surface, stack):
+    """Insert samples until every triangle is within a level that is not below the limit."""
+    count = 0
+    for t in range(m.counts[TRIANGLES]):
+        count = push(w, t, level, count)
+    while count:
+        count -= 1
+        t = int(w.todo[count])
+        w.waiting[t] = 0
+        if w.error[t] <= level:
+            continue
+        x, y = np.int64(w.x[t]), np.int64(w.y[t])
+        if surface:
+            if not is_free(m, x, y):  # a sample beyond the triangle that was inserted since
+                assess(m, heights, w, t, limit, surface)
+                count = push(w, t, level, count)
+                continue
+            t = locate(m, t, x, y)
+        first = m.out[insert(m, t, x, y, np.float64(heights[y, x]), stack)]
+        h = first
+        while True:
+            assess(m, heights, w, h // 3, limit, surface)
+            count = push(w, h // 3, level, count)
+            h = m.twin[before(h)]
+            if h == first:
+                break
 
 
 @kernel
-def refine(m, heights, q, limit, surface):
+def refine(m, heights, w, limit, surface):
     """Insert samples until every triangle is within the limit.
 
     Args:
         m: a constrained Delaunay triangulation. heights: (rows, cols) float32 of its window.
-        q: an empty heap. limit: metres. surface: whether the bound is on the surface, or only at samples.
+        w: room for its triangles. limit: metres. surface: whether the bound is on the surface, or only at samples.
     """
-    stack = np.empty(3 * len(q.heap) // 2 + 16, np.int32)
+    stack = np.empty(3 * len(w.todo) // 2 + 16, np.int32)
+    largest = 0.0
     for t in range(m.counts[TRIANGLES]):
-        if m.live[t]:
-            assess(m, heights, q, t, limit, surface)
-    while q.size[0]:
-        t = q.heap[0]
-        x, y = np.int64(q.x[t]), np.int64(q.y[t])
-        if surface:
-            if not is_free(m, x, y):  # a sample beyond the triangle that was inserted since
-                assess(m, heights, q, t, limit, surface)
-                continue
-            t = locate(m, t, x, y)
-        v = insert(m, t, x, y, np.float64(heights[y, x]), stack)
-        first = m.out[v]
-        h = first
-        while True:
-            if m.live[h // 3]:
-                assess(m, heights, q, h // 3, limit, surface)
-            h = m.twin[before(h)]
-            if h == first:
-                break
+        assess(m, heights, w, t, limit, surface)
+        largest = max(largest, w.error[t])
+    level = limit
+    while level * RATIO < largest:
+        level *= RATIO
+    while level >= limit:
+        refine_to(m, heights, w, level, limit, surface, stack)
+        level /= RATIO
 
 
 @kernel

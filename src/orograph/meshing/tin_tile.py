@@ -10,10 +10,9 @@ from numpy.typing import NDArray
 from orograph._numba import kernel
 from orograph.meshing.tin_outline import Window, constraints, unit_triangles
 from orograph.meshing.tin_reduce import reduce
-from orograph.meshing.tin_refine import missed, refine
+from orograph.meshing.tin_refine import missed, refine, room_for
 from orograph.triangulation.constraints import fix_edge
 from orograph.triangulation.deviation import worst_crossing, worst_sample
-from orograph.triangulation.heap import new_queue
 from orograph.triangulation.mesh import (
     TRIANGLES,
     VERTICES,
@@ -78,11 +77,12 @@ def tin_of_tile(
     row0, row1, col0, col1 = inner
     window = np.ascontiguousarray(heights[row0 : row1 + 1, col0 : col1 + 1])
     limit = max(limit, LEAST_ERROR)
-    units = unit_triangles(heights)[row0:row1, col0:col1]
+    around = unit_triangles(heights)
+    units = around[row0:row1, col0:col1]
     if not units.any():
         return unfinished(NONE.astype(np.int32))
-    m, q = new_mesh(*window.shape), new_queue(*window.shape)
-    points, edges = constraints(heights, inner, (BORDER if surface else 1.0) * limit - ROUNDING, extra)
+    m, w = new_mesh(*window.shape), room_for(*window.shape)
+    points, edges = constraints(heights, around, inner, (BORDER if surface else 1.0) * limit - ROUNDING, extra)
     points = np.concatenate([points, lines.reshape(-1, 2)])
     begin(m, window)
     insert_all(m, window, points[in_order(points)])
@@ -93,9 +93,9 @@ def tin_of_tile(
     inside = (start > 0).all(-1) & (start[:, 0] < col1 - col0) & (start[:, 1] < row1 - row0)
     insert_all(m, window, start[inside][in_order(start[inside])])
     find_live(m, units, (row0 + col0) & 1)
-    refine(m, window, q, limit, False)
+    refine(m, window, w, limit, False)
     if surface:
-        refine(m, window, q, limit, True)
+        refine(m, window, w, limit, True)
         lacking, blocked = missed(m, window, limit)
         if len(lacking) or len(blocked):
             return unfinished(compact(m)[0], lacking, blocked)

@@ -117,7 +117,7 @@ def patch_colors(
     """
     making = PatchErrors(terrain, ColorTable(color), legs)
     making.take_all(jobs, progress)
-    return making.placed(making.P)
+    return by_level(terrain, making.P)
 
 
 class PatchErrors:
@@ -172,19 +172,7 @@ class PatchErrors:
             last = P
             mixed = np.isinf(octave_window(self.terrain, self.table, k, (0, 0), P.shape))
             signed[k] = np.where(mixed, -np.maximum(P, NOTHING), P)
-        return self.placed(signed)
-
-    def placed(self, octaves: dict[int, Heights]) -> list[Heights]:
-        """Values by octave as arrays by level, in the layout of ``diamond_table``."""
-        top = self.terrain.levels - 1
-        result = [np.zeros((0, 0), np.float32) for _ in range(top)]
-        result.append(blank_top(self.terrain.grid.shape, np.float32, 0))
-        for k, values in octaves.items():
-            if k < top:
-                result[k] = values
-            else:
-                place(result[top], values, k, 0, 0, top)
-        return result
+        return by_level(self.terrain, signed)
 
     def _blocks(self, k: int) -> Shape:
         """Blocks of an octave along each axis."""
@@ -195,6 +183,19 @@ class PatchErrors:
         """The first diamond of a block."""
         row, col = divmod(spot[1], self._blocks(spot[0])[1])
         return row * self.size, col * self.size
+
+
+def by_level(terrain: Terrain, octaves: dict[int, Heights]) -> list[Heights]:
+    """Values by octave as arrays by level, in the layout of ``diamond_table``."""
+    top = terrain.levels - 1
+    result = [np.zeros((0, 0), np.float32) for _ in range(top)]
+    result.append(blank_top(terrain.grid.shape, np.float32, 0))
+    for k, values in octaves.items():
+        if k < top:
+            result[k] = values
+        else:
+            place(result[top], values, k, 0, 0, top)
+    return result
 
 
 def octave_shape(terrain: Terrain, k: int) -> Shape:
@@ -286,11 +287,11 @@ def _lifted(errors: Heights, q: int, shapes: list[Shape]) -> Heights:
     return edges
 
 
-def saturate(here: Heights, below: Heights | None) -> None:
+def saturate(here: Heights, below: Heights | None, kappa: float = SATURATION) -> None:
     """Turn an octave's P into P′, given that of the octave below: at least κ times those below in the DAG."""
     from orograph.error.monotony import close
 
-    factor = np.float32(SATURATION)
+    factor = np.float32(kappa)
     if below is not None:
         raised = np.zeros_like(here)
         close(below * factor, 1, raised)

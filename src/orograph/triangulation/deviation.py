@@ -11,16 +11,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from orograph._lanes import (
+    LANES,
+    counted,
+    first_of,
+    largest_of,
+    load,
+    one_of,
+    size,
+    some,
+    spread,
+    sum_of,
+    where,
+)
 from orograph._numba import inlined, leaf
+from orograph.triangulation.mesh import turn_of
 
 FUZZ = 1e-6
 """Tolerance for rounding, cells: ends of rows are fractions with denominators below 2^14, so it is safe."""
-
-
-@inlined
-def span(y, x0, y0, x1, y1):
-    """The x at which a side of a triangle crosses row y."""
-    return x0 + (y - y0) * ((x1 - x0) / (y1 - y0))
 
 
 class Facet(NamedTuple):
@@ -29,6 +37,7 @@ class Facet(NamedTuple):
     Attributes:
         x0, y0, x1, y1, x2, y2: columns (float64) and rows (int64). z0: the upper corner's height.
         across, down: slopes of its plane along rows and columns. det: twice its signed area.
+        long, upper, lower: columns per row of the sides from corner 0 to 2, 0 to 1 and 1 to 2.
     """
 
     x0: float
@@ -41,9 +50,12 @@ class Facet(NamedTuple):
     across: float
     down: float
     det: float
+    long: float
+    upper: float
+    lower: float
 
 
-@leaf
+@inlined
 def facet_of(m, a, b, c):
     """The triangle of three vertices."""
     if m.y[b] < m.y[a]:
@@ -59,47 +71,117 @@ def facet_of(m, a, b, c):
     det = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
     across = ((z1 - z0) * (y2 - y0) - (z2 - z0) * (y1 - y0)) / det
     down = ((x1 - x0) * (z2 - z0) - (x2 - x0) * (z1 - z0)) / det
-    return Facet(x0, y0, x1, y1, x2, y2, z0, across, down, det)
+    long, upper, lower = (x2 - x0) / (y2 - y0), (x1 - x0) / (y1 - y0), (x2 - x1) / (y2 - y1)
+    return Facet(x0, y0, x1, y1, x2, y2, z0, across, down, det, long, upper, lower)
 
 
 @inlined
-def row_of(f, y):
-    """The first and the last sample of a triangle in row y, and its plane's height at column 0 there."""
-    far = span(y, f.x0, f.y0, f.x2, f.y2)
-    near = span(y, f.x0, f.y0, f.x1, f.y1) if y < f.y1 or f.y1 == f.y2 else span(y, f.x1, f.y1, f.x2, f.y2)
-    first, last = np.int64(np.ceil(min(near, far) - FUZZ)), np.int64(np.floor(max(near, far) + FUZZ))
-    return first, last, f.z0 + f.down * (y - f.y0) - f.across * f.x0
+def rows_of(f):
+    """The rows of a triangle, half-open, without those of a lone corner."""
+    return f.y0 + (f.y0 < f.y1), f.y2 + (f.y1 == f.y2)
+
+
+@inlined
+def ends_of(f, y):
+    """Where the sides of a triangle cross row y, from left to right (columns)."""
+    far = f.x0 + (y - f.y0) * f.long
+    near = f.x0 + (y - f.y0) * f.upper if y < f.y1 else f.x1 if y == f.y1 else f.x1 + (y - f.y1) * f.lower
+    return (far - FUZZ, near + FUZZ) if f.det > 0 else (near - FUZZ, far + FUZZ)
+
+
+@inlined
+def plane_of(f, y):
+    """The height of a triangle's plane at column 0 of row y."""
+    return f.z0 + f.down * (y - f.y0) - f.across * f.x0
+
+
+@inlined
+def samples_of(low, high):
+    """The first sample between two columns that are not negative, and the one after the last."""
+    return np.int64(np.ceil(low)), np.int64(high) + 1
+
+
+@inlined
+def is_empty(m, a, b, c):
+    """Whether a triangle has no samples but its corners (Pick's theorem), or no area."""
+    return abs(turn_of(m, a, b, c)) <= 1
+
+
+@inlined
+def first_lane(f, cols):
+    """The column of the first of eight lanes that hold a triangle's samples; negative if it is too wide."""
+    left = np.int64(min(f.x0, f.x1, f.x2))
+    fits = cols >= LANES and max(f.x0, f.x1, f.x2) - left < LANES
+    return min(left, cols - LANES) if fits else np.int64(-1)
+
+
+@inlined
+def worst_sample(heights, m, a, b, c):
+    """The largest deviation at the samples of a triangle other than its corners; and where."""
+    if is_empty(m, a, b, c):
+        return 0.0, np.int64(m.x[a]), np.int64(m.y[a])
+    f = facet_of(m, a, b, c)
+    left = first_lane(f, heights.shape[1])
+    return worst_of_wide(heights, f) if left < 0 else worst_of_narrow(heights, f, left)
 
 
 @leaf
-def worst_sample(heights, m, a, b, c):
-    """The largest deviation at the samples of a triangle, including its outline; and where."""
-    f = facet_of(m, a, b, c)
-    if abs(f.det) == 1 or f.y0 == f.y2:  # no other samples (Pick's theorem)
-        return 0.0, np.int64(f.x0), f.y0
-    largest, at_x, at_y = -1.0, np.int64(0), np.int64(0)
-    for y in range(f.y0, f.y2 + 1):
-        first, last, plane = row_of(f, y)
-        for x in range(first, last + 1):
+def worst_of_wide(heights, f):
+    """``worst_sample`` of any triangle."""
+    largest, at_x, at_y = 0.0, np.int64(f.x0), f.y0
+    top, bottom = rows_of(f)
+    for y in range(top, bottom):
+        plane = plane_of(f, y)
+        first, end = samples_of(*ends_of(f, y))
+        for x in range(first, end):
             off = abs(plane + f.across * x - heights[y, x])
             if off > largest:
                 largest, at_x, at_y = off, np.int64(x), np.int64(y)
     return largest, at_x, at_y
 
 
-@leaf
+@inlined
+def worst_of_narrow(heights, f, left):
+    """``worst_sample`` of a triangle whose samples lie in the eight columns from ``left`` on."""
+    x = counted() + left
+    slope = x * f.across
+    largest, at_y = spread(0.0), spread(f.y0)
+    top, bottom = rows_of(f)
+    for y in range(top, bottom):
+        low, high = ends_of(f, y)
+        off = size(slope + plane_of(f, y) - load(heights, y * heights.shape[1] + left))
+        larger = (x >= low) & (x <= high) & (off > largest)
+        largest, at_y = where(larger, off, largest), where(larger, spread(y), at_y)
+    worst = largest_of(largest)
+    k = first_of(largest == worst)
+    return worst, left + k, one_of(at_y, k)
+
+
+@inlined
 def squares_within(heights, m, a, b, c, limit, most):
     """The sum of squared deviations at the samples of a triangle.
 
     inf if one exceeds the limit, or the sum reaches ``most``.
     """
+    if is_empty(m, a, b, c):
+        return 0.0
     f = facet_of(m, a, b, c)
+    left = first_lane(f, heights.shape[1])
+    if left < 0:
+        return squares_of_wide(heights, f, limit, most)
+    squares = squares_of_narrow(heights, f, left, limit)
+    return squares if squares < most else np.inf
+
+
+@leaf
+def squares_of_wide(heights, f, limit, most):
+    """``squares_within`` of any triangle."""
     squares = 0.0
-    if abs(f.det) == 1 or f.y0 == f.y2:
-        return squares
-    for y in range(f.y0, f.y2 + 1):
-        first, last, plane = row_of(f, y)
-        for x in range(first, last + 1):
+    top, bottom = rows_of(f)
+    for y in range(top, bottom):
+        plane = plane_of(f, y)
+        first, end = samples_of(*ends_of(f, y))
+        for x in range(first, end):
             off = abs(plane + f.across * x - heights[y, x])
             squares += off * off
             if off > limit or squares >= most:
@@ -108,19 +190,38 @@ def squares_within(heights, m, a, b, c, limit, most):
 
 
 @inlined
+def squares_of_narrow(heights, f, left, limit):
+    """``squares_within``, however large, of a triangle whose samples lie in the eight columns from ``left`` on."""
+    x = counted() + left
+    slope, squares = x * f.across, spread(0.0)
+    top, bottom = rows_of(f)
+    for y in range(top, bottom):
+        low, high = ends_of(f, y)
+        off = slope + plane_of(f, y) - load(heights, y * heights.shape[1] + left)
+        off = where((x >= low) & (x <= high), size(off), 0.0)
+        if some(off > limit):
+            return np.inf
+        squares += off * off
+    return sum_of(squares)
+
+
+@inlined
 def between(low, high, f, z):
     """The deviation of the height z from the surface at a fraction of the way between two samples."""
     return abs(low + f * (high - low) - z)
 
 
-@leaf
+@inlined
 def worst_crossing(heights, m, a, b):
     """The largest deviation where an edge crosses edges of the surface.
 
     Also returns the two samples whose edge it crosses there, the nearer first.
     """
-    x, y = np.int64(m.x[a]), np.int64(m.y[a])
-    return worst_between(heights, x, y, np.int64(m.x[b]) - x, np.int64(m.y[b]) - y, m.z[a], m.z[b] - m.z[a])
+    x, y, none = np.int64(m.x[a]), np.int64(m.y[a]), np.int64(0)
+    dx, dy = np.int64(m.x[b]) - x, np.int64(m.y[b]) - y
+    if dx * dx + dy * dy <= 2 and (dx == 0 or dy == 0 or (x + y) & 1 == 0):  # an edge of the surface itself
+        return -1.0, none, none, none, none
+    return worst_between(heights, x, y, dx, dy, m.z[a], m.z[b] - m.z[a])
 
 
 @leaf

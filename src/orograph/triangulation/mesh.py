@@ -74,21 +74,21 @@ def before(h):
     return h + 2 if h % 3 == 0 else h - 1
 
 
-@leaf
+@inlined
 def turn_of(m, a, b, c):
     """Twice the signed area of three vertices in (column, row)."""
     ax, ay = np.int64(m.x[a]), np.int64(m.y[a])
     return (m.x[b] - ax) * (m.y[c] - ay) - (m.y[b] - ay) * (m.x[c] - ax)
 
 
-@leaf
+@inlined
 def side_of(m, a, b, x, y):
     """Twice the signed area of two vertices and a sample."""
     ax, ay = np.int64(m.x[a]), np.int64(m.y[a])
     return (m.x[b] - ax) * (y - ay) - (m.y[b] - ay) * (x - ax)
 
 
-@leaf
+@inlined
 def in_circle(m, a, b, c, d):
     """Positive if d lies inside the circle through a, b, c (in positive orientation), 0 on it."""
     dx, dy = np.int64(m.x[d]), np.int64(m.y[d])
@@ -97,7 +97,7 @@ def in_circle(m, a, b, c, d):
     return ax * (by * cc - bb * cy) - ay * (bx * cc - bb * cx) + aa * (bx * cy - by * cx)
 
 
-@leaf
+@inlined
 def link(m, h, g):
     """Make two half-edges the two sides of one edge (g −1: the outline)."""
     m.twin[h] = g
@@ -105,7 +105,7 @@ def link(m, h, g):
         m.twin[g] = h
 
 
-@leaf
+@inlined
 def put(m, t, a, b, c):
     """Make slot t a triangle; its half-edges are not yet linked."""
     h = 3 * t
@@ -114,7 +114,7 @@ def put(m, t, a, b, c):
     m.fixed[h], m.fixed[h + 1], m.fixed[h + 2] = 0, 0, 0
 
 
-@leaf
+@inlined
 def new_triangle(m):
     """A slot for a triangle."""
     t = m.counts[FREE]
@@ -134,7 +134,7 @@ def free_triangle(m, t):
     m.counts[FREE] = t
 
 
-@leaf
+@inlined
 def new_vertex(m, x, y, z):
     """A vertex at a sample, in no triangle yet."""
     v = m.counts[VERTICES]
@@ -143,7 +143,7 @@ def new_vertex(m, x, y, z):
     return v
 
 
-@leaf
+@inlined
 def flip(m, h):
     """Flip the edge of h and its twin to the other diagonal of their two triangles.
 
@@ -169,7 +169,7 @@ def precedence(m, v):
     return (((x + y) & 1) << 40) + (y << 20) + x
 
 
-@leaf
+@inlined
 def should_flip(m, h):
     """Whether an edge is not Delaunay, or the other diagonal of four vertices on a circle is preferred."""
     g = m.twin[h]
@@ -182,7 +182,7 @@ def should_flip(m, h):
     return min(precedence(m, c), precedence(m, d)) < min(precedence(m, a), precedence(m, b))
 
 
-@leaf
+@inlined
 def legalise(m, stack, count):
     """Flip edges, given by the half-edges opposite to a new vertex, until all are Delaunay."""
     while count:
@@ -195,18 +195,26 @@ def legalise(m, stack, count):
             count += 2
 
 
-@leaf
+@inlined
 def insert(m, t, x, y, z, stack):
     """Add a vertex at a sample in triangle t, or on one of its edges, and restore Delaunay. Returns the vertex.
 
     All triangles that changed are those around it.
     """
     v = new_vertex(m, x, y, z)
+    count = 0
     for k in range(3):
         h = 3 * t + k
         if side_of(m, m.corner[h], m.corner[after(h)], x, y) == 0:
-            legalise(m, stack, split_edge(m, h, v, stack))
-            return v
+            count = split_edge(m, h, v, stack)
+            break
+    legalise(m, stack, count or split_triangle(m, t, v, stack))
+    return v
+
+
+@inlined
+def split_triangle(m, t, v, stack):
+    """Put a vertex into a triangle. Returns the number of half-edges on the stack."""
     a, b, c = m.corner[3 * t], m.corner[3 * t + 1], m.corner[3 * t + 2]
     bc, ca, bc_fixed, ca_fixed = m.twin[3 * t + 1], m.twin[3 * t + 2], m.fixed[3 * t + 1], m.fixed[3 * t + 2]
     ab_fixed = m.fixed[3 * t]
@@ -222,8 +230,7 @@ def insert(m, t, x, y, z, stack):
     link(m, 3 * t1 + 1, 3 * t2 + 2)
     link(m, 3 * t2 + 1, 3 * t + 2)
     stack[0], stack[1], stack[2] = 3 * t, 3 * t1, 3 * t2
-    legalise(m, stack, 3)
-    return v
+    return 3
 
 
 @leaf

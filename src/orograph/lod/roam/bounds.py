@@ -131,15 +131,26 @@ def screen(node, edge, camera, options, low, high):
 
 
 @leaf
-def around(node, edge, terms, camera, low, high):
+def around(node, edge, terms, camera, options, low, high):
     """(the bound in pixels at a volume's least distance, the motion for which it stays out of (low, high))."""
     e = np.float64(node.error) * camera.focal * camera.exaggeration
-    if not 0.0 < e < np.inf:
+    c = color_error(np.float64(node.color))
+    colored = c > camera.color_tolerance
+    if e == np.inf or (e <= 0.0 and not colored):
         return 0.0, np.inf
     flat = seen_from(node, edge, terms)[0]
     up = max(max(node.low - terms.eye[HEIGHT], terms.eye[HEIGHT] - node.high), 0.0) / terms.eye[STEEPNESS]
     d = np.sqrt(flat * flat + up * up)
-    bound = e / d if d > 0.0 else np.inf
-    if bound <= low:
-        return bound, d - e / low
-    return bound, e / high - d if bound > high and high > 0.0 else (np.inf if bound > high else 0.0)
+    bound, slack = 0.0, np.inf
+    if e > 0.0:
+        bound = e / d if d > 0.0 else np.inf
+        if bound <= low:
+            slack = d - e / low
+        elif bound <= high or high > 0.0:
+            slack = e / high - d if bound > high else 0.0
+    if colored:
+        r = np.float64(node.radius) * camera.stretch
+        slack = min(slack, color_slack(camera, c, d + r, r))
+        if color_exceeds(camera, c, d + r, r):
+            bound = max(bound, options[RATE] * c / max(camera.color_tolerance, 1e-6))
+    return bound, slack

@@ -100,12 +100,12 @@ def priority_of(nodes, pages, camera, clock, counts, options, terms, waiting, sc
                 # It counts for no less than it would out of view: else a child that is could count for more.
                 share = factor * terms.factors[OUTSIDE]
                 low, high = options[LOW] / share, options[HIGH] / share
-                aside, lasting_aside = around(node, edge, terms, camera, low, high)
+                aside, lasting_aside = around(node, edge, terms, camera, options, low, high)
                 if bound <= options[HIGH] / factor:
                     slack = lasting_aside if aside > high else min(slack, lasting_aside)
                 bound = max(bound, aside * terms.factors[OUTSIDE])
         else:
-            bound, slack = around(node, edge, terms, camera, options[LOW] / factor, options[HIGH] / factor)
+            bound, slack = around(node, edge, terms, camera, options, options[LOW] / factor, options[HIGH] / factor)
         bound *= factor
         if terms.factors[OCCLUDED] < 1.0 and bound > options[LOW]:
             lasting = 0.0
