@@ -197,20 +197,24 @@ def more_lines(
     limit: tuple[float, bool],
 ) -> dict[Key, NDArray[np.int64]]:  # fmt: skip
     """The edges of the tiles whose break lines block others: these are added as edges and are split."""
-    return {
-        key: possible(terrain, key, np.concatenate([edges.get(key, NO_LINES), wanted]).tolist(), side, limit)
-        for key, wanted in blocked.items()
-    }
+    more = {}
+    for key, wanted in blocked.items():
+        before = edges.get(key, NO_LINES)
+        both = np.concatenate([before, wanted]).tolist()
+        more[key] = possible(terrain, key, both, side, limit)
+        if np.array_equal(more[key], before):  # they were split again where they had been, which was not enough
+            more[key] = possible(terrain, key, both, side, limit, anew=True)
+    return more
 
 
 def possible(
-    terrain: Terrain, key: Key, edges: Sequence[Sequence[int]], side: int, limit: tuple[float, bool]
+    terrain: Terrain, key: Key, edges: Sequence[Sequence[int]], side: int, limit: tuple[float, bool], anew: bool = False
 ) -> NDArray[np.int64]:
     """The edges that a tile can have (``tin_lines.edges_of_tile``)."""
     heights, (row0, row1, col0, col1) = read_tile(terrain, key, side)
     window = np.ascontiguousarray(heights[row0 : row1 + 1, col0 : col1 + 1])
     units = np.ascontiguousarray(unit_triangles(heights)[row0:row1, col0:col1])
-    return edges_of_tile(edges, window, units, max(limit[0], LEAST_ERROR), limit[1])
+    return edges_of_tile(edges, window, units, max(limit[0], LEAST_ERROR), limit[1], anew)
 
 
 def ends_of(edges: dict[Key, NDArray[np.int64]], side: int) -> list[tuple[int, int]]:

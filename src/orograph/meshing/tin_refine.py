@@ -144,17 +144,23 @@ def missed(m, heights, limit):
     Returns:
         (n, 2) int64, columns and rows of samples on the border of the window that must become vertices: ends of an edge
         of the surface whose crossing exceeds the limit and whose other end is already a vertex. And (k, 4), edges of
-        the surface both of whose ends are vertices, which are blocked by fixed edges that cross them.
+        the surface both of whose ends are vertices, which are blocked by fixed edges that cross them; and parts of
+        break lines that exceed the limit: a line keeps it as a whole, but not in parts if a sample on it is a vertex.
     """
     samples = np.empty((2 * (m.at.shape[0] + m.at.shape[1]), 2), np.int64)
     edges = np.empty((16, 4), np.int64)
     count, size = 0, 0
     for h in range(3 * m.counts[TRIANGLES]):
-        if not m.live[h // 3] or m.fixed[h] or m.twin[h] < h:
+        if not m.live[h // 3] or m.twin[h] < h:
             continue
-        off, near_x, near_y, far_x, far_y = worst_crossing(heights, m, m.corner[h], m.corner[after(h)])
+        a, b = m.corner[h], m.corner[after(h)]
+        if m.fixed[h] and (m.x[b], m.y[b]) < (m.x[a], m.y[a]):
+            a, b = b, a  # as ``tin_lines`` orders its edges, for the same rounding
+        off, near_x, near_y, far_x, far_y = worst_crossing(heights, m, a, b)
         if off <= limit:
             continue
+        if m.fixed[h]:
+            near_x, near_y, far_x, far_y = np.int64(m.x[a]), np.int64(m.y[a]), np.int64(m.x[b]), np.int64(m.y[b])
         if m.at[near_y, near_x] >= 0 and m.at[far_y, far_x] >= 0:
             if size == len(edges):
                 edges = np.concatenate((edges, np.empty_like(edges)))
