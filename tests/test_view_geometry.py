@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from orograph.errors import OrographError
@@ -55,6 +55,8 @@ def test_a_ray_projects_to_its_pixel(view: View, exaggeration: float, at: tuple[
 
 @settings(deadline=None)
 @given(cameras(), exaggerations, st.integers(0, 2**32 - 1))
+@example(View((0.0, 0.0, 0.0), (1.4e-8, 15.0, 0.0), up=(0.0, 1.0, 0.0), fov_y=1.0, width=1, height=1), 1.0, 0)
+@example(View((0.0, 0.0, 0.0), (0.0, -15.0, 0.0), up=(0.0, 1.0, 0.0), fov_y=9.0, width=8, height=6), 1.0, 0)
 def test_frustum_and_matrices_agree_with_the_projection(view: View, exaggeration: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     reach = view.distance * 3

@@ -40,9 +40,9 @@ def camera_axes(
         up = heading if length(heading) >= 1e-9 else (0.0, 1.0, 0.0)
         forward = 0.0, 0.0, -1.0
     right = cross(forward, up)
-    if length(right) < 1e-9 * length(up):  # looking along up: north is up in the picture
+    if length(right) < 1e-9 * length(up):  # looking along up: north is up in the picture, or else the zenith
         right = cross(forward, (0.0, 1.0, 0.0))
         if length(right) < 1e-9:
-            right = 1.0, 0.0, 0.0
+            right = cross(forward, (0.0, 0.0, 1.0))
     right = unit(right)
     return right, cross(right, forward), forward
