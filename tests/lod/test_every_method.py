@@ -34,7 +34,10 @@ UNSOUND = {"t_junctions", "overlaps", "crowded", "reversed", "flat", "bridged", 
 QUADTINS = ("quadtin", "hyperblock")
 """Where samples are missing they promise nothing, and end within a sample of the rim."""
 
-COARSE = (*QUADTINS, "bdam", "restricted-quadtree", "smart", "triangle-patches")
+OWN = (*QUADTINS, "bdam")
+"""Their triangles are not the hierarchy's, nor are their color errors."""
+
+COARSE = (*OWN, "restricted-quadtree", "smart", "triangle-patches")
 """Their unit is larger than the two triangles of a diamond: they draw more than is asked for."""
 
 SAMPLES = 400 * 383
@@ -206,7 +209,7 @@ def test_in_a_plan_colors_split_what_is_larger_than_a_pixel(name):
             counts.setdefault(pixel, set()).add(len(mesh.triangles))
             drawn = {(int(row), int(col)) for col, row, _ in mesh.vertices}
             needed = set(map(tuple, np.argwhere((radii > pixel) & (spot.errors > 5.0)).tolist()))
-            if name not in (*QUADTINS, "bdam"):  # (whose radii and errors are their own)
+            if name not in OWN:
                 assert needed <= drawn, (pixel, fov)
             if name not in COARSE:
                 assert drawn - needed == {(0, 0), (0, 128), (128, 0), (128, 128)}, (pixel, fov)

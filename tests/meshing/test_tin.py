@@ -278,7 +278,11 @@ def test_break_lines_are_edges(bound: tins.Bound, seed: int) -> None:
     assert (again.vertices == mesh.vertices).all() and (again.triangles == mesh.triangles).all()
 
 
-@pytest.mark.parametrize("seeds", [[*range(40), 1250, 1954], pytest.param(range(40, 1000), marks=pytest.mark.stress)])
+CROWDED = 1250, 1954
+"""A line whose part exceeded the bound, and lines that were split again and again at the same samples."""
+
+
+@pytest.mark.parametrize("seeds", [[*range(40), *CROWDED], pytest.param(range(40, 1000), marks=pytest.mark.stress)])
 def test_whatever_the_ground_the_lines_and_the_tiles(seeds: Sequence[int]) -> None:
     for seed in seeds:
         rng = np.random.default_rng(seed)

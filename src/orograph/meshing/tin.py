@@ -203,18 +203,19 @@ def more_lines(
         both = np.concatenate([before, wanted]).tolist()
         more[key] = possible(terrain, key, both, side, limit)
         if np.array_equal(more[key], before):  # they were split again where they had been, which was not enough
-            more[key] = possible(terrain, key, both, side, limit, anew=True)
+            more[key] = possible(terrain, key, both, side, limit, elsewhere=True)
     return more
 
 
 def possible(
-    terrain: Terrain, key: Key, edges: Sequence[Sequence[int]], side: int, limit: tuple[float, bool], anew: bool = False
-) -> NDArray[np.int64]:
+    terrain: Terrain, key: Key, edges: Sequence[Sequence[int]], side: int, limit: tuple[float, bool],
+    elsewhere: bool = False,
+) -> NDArray[np.int64]:  # fmt: skip
     """The edges that a tile can have (``tin_lines.edges_of_tile``)."""
     heights, (row0, row1, col0, col1) = read_tile(terrain, key, side)
     window = np.ascontiguousarray(heights[row0 : row1 + 1, col0 : col1 + 1])
     units = np.ascontiguousarray(unit_triangles(heights)[row0:row1, col0:col1])
-    return edges_of_tile(edges, window, units, max(limit[0], LEAST_ERROR), limit[1], anew)
+    return edges_of_tile(edges, window, units, max(limit[0], LEAST_ERROR), limit[1], elsewhere)
 
 
 def ends_of(edges: dict[Key, NDArray[np.int64]], side: int) -> list[tuple[int, int]]:

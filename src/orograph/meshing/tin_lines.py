@@ -88,15 +88,15 @@ def nearest(place: float, size: int) -> int:
 
 def edges_of_tile(
     edges: Sequence[Sequence[int]], heights: NDArray[np.float32], units: NDArray[np.bool_], limit: float, surface: bool,
-    anew: bool = False,
+    elsewhere: bool = False,
 ) -> NDArray[np.int64]:  # fmt: skip
     """The required edges and vertices of a tile, as edges that its TIN can have.
 
     Args:
         heights: (rows, cols) float32 of the tile, whose first sample is an (even, even) one. units: (rows − 1,
             cols − 1, 2), which unit triangles exist.
-        limit, surface: the bound, metres. anew: whether edges that cross are split at samples that are ends of neither
-            where they can be, instead of at the nearest ones.
+        limit, surface: the bound, metres. elsewhere: whether edges that cross are split at samples that are ends of
+            neither where they can be, instead of at the nearest ones.
 
     Returns:
         (n, 4) int64; edges without length are vertices.
@@ -108,7 +108,7 @@ def edges_of_tile(
     for _ in range(ROUNDS):
         whole = [e for edge in now.tolist() for e in on_ground(edge, heights, units, limit, surface)]
         now = np.array(sorted({ordered(e) for e in whole}), np.int64).reshape(-1, 4)
-        at = crossings(now, anew)
+        at = crossings(now, elsewhere)
         if (at < 0).all():
             return now
         parts = [now[at[:, 0] < 0]]
@@ -245,10 +245,10 @@ def inside(edges, i, x, y):
 
 
 @kernel
-def crossings(edges, anew):
+def crossings(edges, elsewhere):
     """For each edge, a sample at which to split it: an end of another on it, or the nearest to a crossing; −1: none.
 
-    With ``anew``, if the nearest is an end of either, another corner of the crossing's cell.
+    With ``elsewhere``, if the nearest is an end of either, another corner of the crossing's cell.
     """
     n = len(edges)
     at = np.full((n, 2), -1, np.int64)
@@ -275,11 +275,11 @@ def crossings(edges, anew):
                 t = r / (r - s)
                 u, v = edges[i, 0] + t * (edges[i, 2] - edges[i, 0]), edges[i, 1] + t * (edges[i, 3] - edges[i, 1])
                 x, y = np.int64(np.floor(u + 0.5)), np.int64(np.floor(v + 0.5))
-                if anew and (is_end(edges, i, x, y) or is_end(edges, j, x, y)):
+                if elsewhere and (is_end(edges, i, x, y) or is_end(edges, j, x, y)):
                     for k in range(4):
-                        p, q = np.int64(np.floor(u)) + k % 2, np.int64(np.floor(v)) + k // 2
-                        if not is_end(edges, i, p, q) and not is_end(edges, j, p, q):
-                            x, y = p, q
+                        column, row = np.int64(np.floor(u)) + k % 2, np.int64(np.floor(v)) + k // 2
+                        if not is_end(edges, i, column, row) and not is_end(edges, j, column, row):
+                            x, y = column, row
                 for e in (i, j):
                     if not is_end(edges, e, x, y):
                         at[e, 0], at[e, 1] = x, y

@@ -89,7 +89,7 @@ class Found(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Working memory of a sweep. (A kernel that makes no arrays compiles in two thirds of the time.)
+    """Working memory of a sweep. (A kernel that makes no arrays compiles in three quarters of the time.)
 
     Attributes:
         active, merged (k,) int64, middle (k,) float64: triangles that meet a strip, and their middles.
