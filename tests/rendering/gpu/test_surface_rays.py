@@ -216,9 +216,10 @@ def test_hits_are_the_cpus_in_many_views(device: Device, shared_data: Path, name
 
 
 @pytest.mark.stress
-def test_hits_are_the_cpus_on_a_store_of_many_tiles(device: Device, shared_data: Path) -> None:
+@pytest.mark.parametrize("mebibytes", [256, 24])
+def test_hits_are_the_cpus_on_a_store_of_many_tiles(device: Device, shared_data: Path, mebibytes: int) -> None:
     tiles = sorted(map(str, (shared_data / "california-3s-tiles").glob("*.tif")))
-    hold(device, prepare(tiles), 48, seed=3)
+    hold(device, prepare(tiles), 48, seed=3, most=mebibytes << 20)
 
 
 def rough(rows: int, cols: int, relief: float = 900.0, seed: int = 3) -> NDArray[np.float32]:
