@@ -12,10 +12,12 @@ from affine import Affine
 from PIL import Image
 
 from orograph.errors import ReadError, UsageError
+from orograph.lod.method import Goal
 from orograph.lod.registry import METHODS, method_of
+from orograph.progress import SILENT
 from orograph.rendering.comparison import Panel, columns, panel_view, sheet, usual_views
 from orograph.store.prepare import prepare
-from orograph.verbs.compare import load_views
+from orograph.verbs.compare import _contenders, load_views
 
 SMALL = ("--size", "240x160", "--quiet")
 EYE = {"eye": [500_900, 3_997_500, 1400], "target": [501_000, 3_999_000, 500], "width": 240, "height": 160}
@@ -238,6 +240,11 @@ def test_a_broken_promise_is_said_loudly(run, hilly, monkeypatch):
     monkeypatch.setattr("orograph.lod.method.Method.conservative", True)
     code, said, err = run("compare", hilly, *of("soar,metric=isotropic-published"), *SMALL)
     assert code == 1 and "BROKEN" in said and "soar,metric=isotropic-published" in err
+
+
+def test_conservative_leaves_out_what_promises_nothing():
+    given = [str(choice) for choice in _contenders(["all"], True, Goal(1.0), SILENT)]
+    assert "clipmap,rings=promise" in given and "soar" in given and "cdlod" not in given
 
 
 @pytest.mark.parametrize(

@@ -41,6 +41,16 @@ def test_an_npz_holds_samples_and_triangles(run, hilly, tmp_path):
     assert not list(tmp_path.glob(".*"))
 
 
+def test_conservative_sets_the_options_that_promise(run, hilly, tmp_path):
+    out = tmp_path / "m.npz"
+    given = "tessellate", hilly, "-o", out, "--conservative", "--quiet", "--method"
+    assert run(*given, "clipmap,n=63")[0] == 0
+    with np.load(out) as file:
+        assert json.loads(str(file["stats"]))["conservative"] is True
+    code, _, err = run(*given, "clipmap,rings=printed")
+    assert code == 2 and "not promised" in err
+
+
 @pytest.mark.parametrize("ending", ["ply", "obj", "glb"])
 def test_other_programs_read_it(run, hilly, tmp_path, ending):
     trimesh = pytest.importorskip("trimesh")

@@ -52,7 +52,7 @@ def conservative_option(function: F) -> F:
     return click.option(
         "--conservative",
         is_flag=True,
-        help="Refuse a method that does not promise the tolerance for every sample in view.",
+        help="Promise the tolerance for every sample in view: set the method's options so, or refuse it.",
     )(function)
 
 

@@ -208,6 +208,10 @@ def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
             value = replace(value, **more) if isinstance(value, kind) else kind(**more)  # type: ignore[arg-type, misc, type-var]
         if value is not None and value != ():
             given[name] = value
+    if options.get("conservative"):
+        from orograph.scene.methods import conservative_method
+
+        given["method"] = conservative_method(options["method"], options.get("backend", "gpu"))
     return given
 
 

@@ -116,7 +116,7 @@ class Clipmap(Method):
     info = MethodInfo(
         "clipmap", "nested rings around the eye, each twice as coarse as the one within it, filled as it moves",
         "Losasso & Hoppe 2004; Asirvatham & Hoppe 2005", "rings", ClipmapOptions,
-        lambda options: options.rings == "promise", incremental=True,
+        lambda options: options.rings == "promise", incremental=True, promising={"rings": "promise"},
         invents=lambda options: options.rings != "promise",
     )  # fmt: skip
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from numbers import Integral, Real
 from typing import Any, ClassVar, Literal
@@ -133,6 +133,7 @@ class MethodInfo:
         conservative: whether its bound is promised with these options.
         incremental: whether a frame continues from the previous one. goals: those that it supports.
         conforming: whether its meshes have no T-junctions and no cracks.
+        promising: the options, by key, with which it promises its tolerance, if it does not with the defaults.
         invents: whether with these options it draws detail beyond the data, whose errors nobody knows.
     """
 
@@ -145,6 +146,7 @@ class MethodInfo:
     incremental: bool = False
     goals: tuple[GoalName, ...] = GOALS
     conforming: bool = True
+    promising: Mapping[str, str] = field(default_factory=dict)
     invents: Callable[[Any], bool] = lambda options: False
 
     def check_goal(self, goal: GoalName) -> None:

@@ -93,14 +93,6 @@ class Choice:
         supply(terrain, self.method.needs(self.options), resources)
         return self.method(terrain, self.options, resources)
 
-    def check_promise(self) -> None:
-        """Raise UsageError unless a tolerance is promised with these options."""
-        if not self.conservative:
-            raise UsageError(
-                f"With {self} the tolerance is not promised, which `conservative` requires.",
-                remedy=f"See orograph methods {self.info.name}.",
-            )
-
     def check_triangles(self) -> None:
         """Raise UsageError if the method makes no triangles."""
         if self.info.kind == "rays":
@@ -135,6 +127,27 @@ def chosen(text: str, backend: Backend = "cpu") -> Choice:
     name, given = split(text)
     method = method_of(name, backend)
     return Choice(method, parse(method.info.options, given, method.info.name))
+
+
+def promised(text: str, backend: Backend = "cpu") -> Choice:
+    """The method that ``NAME[,key=value…]`` describes, promising its tolerance.
+
+    Options that decide whether it does are set accordingly, unless the text gives them.
+
+    Raises:
+        UsageError: as ``chosen``; or the method makes no such promise with these options.
+    """
+    name, given = split(text)
+    info = method_of(name, backend).info
+    choice = chosen(text, backend)
+    if not choice.conservative:
+        choice = Choice(choice.method, parse(info.options, {**info.promising, **given}, info.name))
+    if not choice.conservative:
+        raise UsageError(
+            f"With {choice} the tolerance is not promised, which `conservative` requires.",
+            remedy=f"See orograph methods {info.name}.",
+        )
+    return choice
 
 
 def names(*kinds: Kind) -> tuple[str, ...]:

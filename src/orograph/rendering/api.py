@@ -26,7 +26,7 @@ from orograph.rendering.picture import Picture, picture_format
 from orograph.rendering.ways import Way
 from orograph.reporting import reporting
 from orograph.scene.camera import NO_INSETS, plan, view_of, whole
-from orograph.scene.methods import check_promise
+from orograph.scene.methods import conservative_method
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, dpi_of, size_of
@@ -124,7 +124,7 @@ def render(
         size: (width, height) in pixels if no view is given; a view has its own size. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU if
             there is none). Default "cpu".
-        conservative: refuse a ``method`` that does not promise the tolerance for every sample in view.
+        conservative: promise the tolerance for every sample in view: set the ``method``'s options so, or refuse it.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
             the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
             data, all or some: "member=1-6", "time=T12".
@@ -155,7 +155,7 @@ def render(
     way = Way(backend, workers, dask, sort_last)
     check_output(output, depth, each, way, (terrain, chosen.get("layers")))
     if conservative:
-        check_promise(chosen.get("method", "auto"), backend)
+        chosen["method"] = conservative_method(chosen.get("method", "auto"), backend)
     check_options(chosen)
     max_memory, jobs = OPTIONS["max_memory"].worded(chosen.get("max_memory")), chosen.get("jobs")
     size = size_of(size)

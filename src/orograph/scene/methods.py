@@ -13,7 +13,7 @@ from typing import Any
 
 from orograph.errors import UsageError
 from orograph.lod.method import Goal, Method, Resources
-from orograph.lod.registry import AUTO, Backend, Choice, chosen
+from orograph.lod.registry import AUTO, Backend, Choice, chosen, promised
 from orograph.store.terrain import Terrain
 
 TOLERANCE = 1.0
@@ -55,10 +55,9 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
     return choice
 
 
-def check_promise(method: str, backend: Backend) -> None:
-    """Raise UsageError unless a scene's method promises its tolerance."""
-    if method != "auto":
-        chosen(method, backend).check_promise()
+def conservative_method(method: str, backend: Backend) -> str:
+    """A scene's method with the options that promise its tolerance (``registry.promised``)."""
+    return method if method == "auto" else str(promised(method, backend))
 
 
 def goal_of(tolerance: float | None, triangles: int | None) -> Goal:

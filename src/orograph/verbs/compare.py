@@ -134,7 +134,7 @@ def compare(
             referee judges, evenly spread; None: 12.
         methods: which, NAME[,key=value…]; "all", or none: all that can reach the goal.
         tolerance: pixels; None: 1, unless ``triangles`` (at most this many) are the goal.
-        conservative: refuse methods that do not promise the tolerance.
+        conservative: as of ``tessellate``, for each method.
         drape: the image whose colours a method's color-tolerance looks at; the picture shows it.
         exaggeration: how heights are stretched on the screen.
         size: of the views, pixels, or on paper ("16x9cm@300"); None: their own; of the default views, 1280 × 720.
@@ -205,7 +205,11 @@ def _contenders(given: Sequence[str], conservative: bool, goal: Goal, progress: 
         name for text in given for name in (text.split(",") if {*text.split(",")} <= {*METHODS, "all"} else [text])
     ]
     for name in METHODS if not given or "all" in given else ():
-        choice = choice_of(name, conservative)
+        try:
+            choice = choice_of(name, conservative)
+        except UsageError:
+            progress.note(f"{name} does not promise the tolerance and is left out.")
+            continue
         if goal.name in choice.info.goals:
             found[str(choice)] = choice
         else:

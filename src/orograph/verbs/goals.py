@@ -33,12 +33,9 @@ def choice_of(text: str, conservative: bool, backend: Backend = "cpu") -> Choice
     Raises:
         UsageError: there is no such method; or, with ``conservative``, its options do not promise the tolerance.
     """
-    from orograph.lod.registry import chosen
+    from orograph.lod.registry import chosen, promised
 
-    choice = chosen(text, backend)
-    if conservative:
-        choice.check_promise()
-    return choice
+    return promised(text, backend) if conservative else chosen(text, backend)
 
 
 def check_colors(drape: Any, choices: Sequence[Choice]) -> None:

@@ -18,7 +18,7 @@ from orograph.rendering.backends import check_sort_last, session
 from orograph.rendering.memory import check_memory
 from orograph.reporting import reporting
 from orograph.scene import given
-from orograph.scene.methods import check_promise
+from orograph.scene.methods import conservative_method
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
@@ -66,7 +66,7 @@ def movie(
         begin, end: the part of the tour to film, seconds; None: all of it.
         crf: constant rate factor: lower is better and larger; None: 18 for H.264, 28 for VP9.
         overwrite: redraw existing pictures; otherwise an interrupted film is continued.
-        backend: "cpu" or "gpu". conservative: refuse a ``method`` that does not promise the tolerance.
+        backend: "cpu" or "gpu". conservative: as of ``render``.
         progress: gets progress reports; False: silent.
         workers: draw in this many processes of ``jobs`` threads each (default: 1), which share ``max_memory`` (Dask).
         dask: draw on the workers of a cluster: a ``distributed.Client``, or its scheduler's address.
@@ -90,7 +90,7 @@ def movie(
     options, passage = given.standing(options)
     check_options(options)
     if conservative:
-        check_promise(options.get("method", "auto"), backend)
+        options["method"] = conservative_method(options.get("method", "auto"), backend)
     settle_tour(way, tour is not None)
     check_passage(passage, way)
     by = By.of(workers, dask, part, finish)

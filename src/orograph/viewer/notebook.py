@@ -16,7 +16,7 @@ from orograph.errors import OrographError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
 from orograph.rendering.picture import Picture
-from orograph.scene.methods import check_promise
+from orograph.scene.methods import conservative_method
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
 from orograph.scene.typed import SceneOptions
@@ -68,7 +68,7 @@ def view(
         size: of the cell's picture, pixels.
         panels: whether panels are shown initially (Tab toggles them).
         gpu_memory: bytes of GPU memory for tiles.
-        conservative: refuse a ``method`` that does not promise the tolerance.
+        conservative: as of ``render``.
         progress: gets progress reports on reading the terrain; False: silent.
         options: of the scene, as for ``orograph.render`` (sun, exaggeration, layers…).
 
@@ -81,7 +81,7 @@ def view(
     chosen = cast("dict[str, Any]", options)
     reading = {name: chosen.pop(name) for name in READING if name in chosen}
     if conservative:
-        check_promise(chosen.get("method", "auto"), "gpu")
+        chosen["method"] = conservative_method(chosen.get("method", "auto"), "gpu")
     terrain = opened(terrain, progress, called="view", **reading)
     session = Session(terrain, camera, size=size, **chosen)
     session.settings.panels = panels
