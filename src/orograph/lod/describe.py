@@ -60,8 +60,7 @@ def methods(name: str | None = None) -> Said:
 
 def _rows(infos: Sequence[MethodInfo]) -> list[tuple[str, ...]]:
     head = ("method", "the idea", "selects", "promise", "source")
-    promises = ("yes" if info.conservative(info.options()) else "no" for info in infos)
-    return [head, *((i.name, i.title, i.kind, promise, i.paper) for i, promise in zip(infos, promises, strict=True))]
+    return [head, *((i.name, i.title, i.kind, _promises(i), i.paper) for i in infos)]
 
 
 def _options(info: MethodInfo) -> list[tuple[str, ...]]:
@@ -110,7 +109,7 @@ def markdown() -> str:
         rows.append(
             f"| [`{info.name}`]({info.name}.md) | {info.title} | {info.kind} | "
             f"{'goes on' if info.incremental else 'begins anew'} | "
-            f"{'yes' if info.conservative(info.options()) else 'no'} | {info.paper} |"
+            f"{_promises(info)} | {info.paper} |"
         )
     return "\n".join(rows)
 
@@ -122,7 +121,19 @@ def _infos() -> list[MethodInfo]:
 def _promise(info: MethodInfo) -> str:
     if info.conservative(info.options()):
         return "With the default options the tolerance is promised for every sample in view."
-    return "With the default options the tolerance is not promised."
+    how = f"; with {_promising(info)} it is" if info.promising else ""
+    return f"With the default options the tolerance is not promised{how}."
+
+
+def _promises(info: MethodInfo) -> str:
+    """Whether a method promises its tolerance, for a table."""
+    if info.conservative(info.options()):
+        return "yes"
+    return f"with {_promising(info)}" if info.promising else "no"
+
+
+def _promising(info: MethodInfo) -> str:
+    return ",".join(f"{key}={value}" for key, value in info.promising.items())
 
 
 def _filled(text: str, indent: str = "    ") -> str:
