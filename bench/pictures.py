@@ -1,6 +1,7 @@
 """Pictures by the GPU compared with those by the CPU: how much their colours differ, on real data.
 
-    python bench/pictures.py [DATA] [--size 480x300] [--set NAME …] [--view NAME …] [--methods] [--tolerance 1]
+    python bench/pictures.py [DATA] [--size 480x300] [--set NAME …] [--view NAME …] [--methods [--conservative]]
+        [--tolerance 1]
 
 DATA is the folder of open data sets (default: ``../shared/data`` beside the checkout). Seven of them, which
 ``tests/rendering/gpu/test_picture.py`` does not use, are drawn whole, from above, at a slant, to the horizon, and from
@@ -13,14 +14,16 @@ With ``--methods``, every method draws each view within the tolerance. First on 
 printed are the largest mean and the largest 95th percentile of any pair, with the pair, of all methods and of those
 that promise the tolerance. Then with the normals of each
 mesh's own faces, the default for meshes, on both backends; printed are the largest differences between the backends for
-any method. Anything that the terrain or a backend does not support is named.
+any method. Anything that the terrain or a backend does not support is named. With ``--conservative`` only methods that
+promise the tolerance are compared, with the options that this takes, and only in the light of the ground.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,7 +33,7 @@ import numpy as np
 from orograph.errors import OrographError
 from orograph.geovis.color_errors import lab
 from orograph.gpu.device import Device, open_device
-from orograph.lod.registry import METHODS, chosen
+from orograph.lod.registry import METHODS, chosen, promised
 from orograph.rendering.cpu.draw import draw as cpu_draw
 from orograph.rendering.gpu.draw import draw as gpu_draw
 from orograph.scene.camera import around, plan, whole
@@ -83,15 +86,28 @@ def distance(one: np.ndarray, other: np.ndarray) -> tuple[float, float]:
     return float(off.mean()), float(np.percentile(off, 95))
 
 
-def drawn(terrain: Terrain, view: View, device: Device, tolerance: float) -> dict[str, np.ndarray]:
+def promising() -> list[str]:
+    """The methods that promise a tolerance, with the options that this takes."""
+    found = []
+    for method in METHODS:
+        with contextlib.suppress(OrographError):
+            found.append(str(promised(method)))
+    return found
+
+
+def drawn(
+    terrain: Terrain, view: View, device: Device, tolerance: float, conservative: bool
+) -> dict[str, np.ndarray]:  # fmt: skip
     """A view by every method, in CIELAB: "ground", "gpu" and "cpu", each with the method's name."""
     ways: dict[str, tuple[Callable[[Scene], Any], dict[str, Any]]] = {
         "ground": (partial(gpu_draw, device=device), {"normals": "computed"}),
         "gpu": (partial(gpu_draw, device=device), {}),
         "cpu": (cpu_draw, {}),
     }
+    if conservative:
+        ways = {"ground": ways["ground"]}
     pictures = {"ground cpu": lab(linear(cpu_draw(Scene.of(terrain, view)).pixels))}
-    for method, (way, (draw, options)) in itertools.product(METHODS, ways.items()):
+    for method, (way, (draw, options)) in itertools.product(promising() if conservative else METHODS, ways.items()):
         try:
             picture = draw(Scene.of(terrain, view, method=method, tolerance=tolerance, **options))
         except OrographError as error:
@@ -102,20 +118,25 @@ def drawn(terrain: Terrain, view: View, device: Device, tolerance: float) -> dic
     return pictures
 
 
+def furthest(pictures: dict[str, np.ndarray], pairs: Iterable[tuple[str, str]]) -> str:
+    """The largest mean difference of any of the pairs, and the largest 95th percentile."""
+    off = {pair: distance(pictures[pair[0]], pictures[pair[1]]) for pair in pairs}
+    mean, high = (max(off, key=lambda pair, k=k: off[pair][k]) for k in (0, 1))  # type: ignore[misc]
+    return f"mean {off[mean][0]:.2f} ({' / '.join(mean)}), 95 % {off[high][1]:.2f} ({' / '.join(high)})"
+
+
 def compared(pictures: dict[str, np.ndarray]) -> str:
     """The largest differences of any pair with the ground's normals, and between backends with the mesh's own."""
     grounds = [name for name in pictures if name.startswith("ground")]
     kept = [name for name in grounds if name == "ground cpu" or chosen(name.split()[1]).conservative]
     own = [(f"gpu {m}", f"cpu {m}") for m in METHODS if {f"gpu {m}", f"cpu {m}"} <= pictures.keys()]
-    found = []
-    for pairs in (*(list(itertools.combinations(some, 2)) for some in (grounds, kept)), own):
-        off = {pair: distance(pictures[pair[0]], pictures[pair[1]]) for pair in pairs}
-        mean, high = (max(off, key=lambda pair, k=k: off[pair][k]) for k in (0, 1))  # type: ignore[misc]
-        found.append(f"mean {off[mean][0]:.2f} ({' / '.join(mean)}), 95 % {off[high][1]:.2f} ({' / '.join(high)})")
-    return (
-        f"{len(grounds)} in the ground's light: {found[0]}; {len(kept)} that keep a promise: {found[1]}; {len(own)} in "
-        f"their own: {found[2]}"
-    )
+    found = [f"{len(kept)} that keep a promise: {furthest(pictures, itertools.combinations(kept, 2))}"]
+    if own:
+        found.insert(
+            0, f"{len(grounds)} in the ground's light: {furthest(pictures, itertools.combinations(grounds, 2))}"
+        )
+        found.append(f"{len(own)} in their own: {furthest(pictures, own)}")
+    return "; ".join(found)
 
 
 def main() -> None:
@@ -125,6 +146,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", choices=SETS)
     parser.add_argument("--view", action="append", choices=VIEWS)
     parser.add_argument("--methods", action="store_true", help="compare all methods with each other")
+    parser.add_argument("--conservative", action="store_true", help="only those that promise the tolerance")
     parser.add_argument("--tolerance", type=float, default=1.0, help="of methods, pixels")
     given = parser.parse_args()
     size = tuple(int(n) for n in given.size.split("x"))
@@ -134,7 +156,10 @@ def main() -> None:
         for name in given.set or SETS:
             terrain = prepare([str(given.data / SETS[name])])
             for kind, view in views(terrain, size, given.view):
-                print(f"{name}, {kind}: {compared(drawn(terrain, view, device, given.tolerance))}", flush=True)
+                print(
+                    f"{name}, {kind}: {compared(drawn(terrain, view, device, given.tolerance, given.conservative))}",
+                    flush=True,
+                )
         return
     print(f"{'':14}{'':10}{'mean':>7}{'95 %':>7}{'largest':>9}{'ground in one':>15}")
     worst = [0.0, 0.0]
