@@ -12,7 +12,7 @@ from typing import Any
 
 
 def spare_imports(s3: bool = False) -> None:
-    """Spare more than half a second of a two-second command.
+    """Spare half a second of a two-second command; collect garbage rarely.
 
     Numba loads SciPy's linear algebra with its first kernel, for matrix products that no kernel here has, cffi for
     functions of C that none calls, and YAML for a settings file; rasterio loads boto3, if it is installed, to sign
