@@ -15,7 +15,6 @@ import struct
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,6 +200,8 @@ _RELATIONS = (
 
 
 def _3mf(made: Solid, part: Path, name: str) -> None:
+    from xml.sax.saxutils import quoteattr  # late, for it loads what talks to servers
+
     with zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as file:
         file.writestr("[Content_Types].xml", _TYPES)
         file.writestr("_rels/.rels", _RELATIONS)

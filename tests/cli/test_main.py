@@ -45,7 +45,8 @@ def test_help_is_quick_because_it_loads_nothing():
 def test_info_is_quick_because_it_loads_no_compiler(tmp_path):
     orograph("synth", "-o", tmp_path / "a.tif", "--size", "40x50")
     code = f"import sys; from orograph.cli import main\ntry: main(['info', {str(tmp_path / 'a.tif')!r}])\n" \
-           "except SystemExit: pass\nprint([m for m in ('numba', 'scipy', 'zarr') if m in sys.modules])"  # fmt: skip
+           "except SystemExit: pass\nprint([m for m in ('numba', 'scipy', 'zarr', 'rich', 'urllib.request', " \
+           "'orograph.store.build') if m in sys.modules])"  # fmt: skip
     ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert "samples" in ran.stdout and ran.stdout.strip().endswith("[]"), ran.stdout[-200:]
 

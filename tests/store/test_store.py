@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import subprocess
 import sys
@@ -42,6 +43,15 @@ def same(ours, memory):
         np.testing.assert_array_equal(ours.read_mean(level, 0, h, 0, w), memory.read_mean(level, 0, h, 0, w))
         for name in ("minimum", "maximum", "error", "valid"):
             np.testing.assert_array_equal(getattr(ours.tiles(level), name), getattr(memory.tiles(level), name))
+
+
+def test_names_of_the_package_are_not_hidden_by_its_modules() -> None:
+    for module in ("build", "terrain"):
+        importlib.import_module(f"orograph.store.{module}")
+    assert all(callable(getattr(store, name)) for name in store.__all__ if name != "TILE")
+    assert set(store.__all__) <= set(dir(store))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        store.nothing  # noqa: B018
 
 
 def test_a_store_is_the_terrain_in_memory(built):

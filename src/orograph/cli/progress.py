@@ -1,19 +1,24 @@
-"""The live progress line on stderr (rich): what is being done, how far, how long it took."""
+"""The live progress line on stderr: what is being done, how far, how long it took.
+
+rich draws it. Only a terminal has one, so that other runs need not load rich.
+"""
 
 from __future__ import annotations
 
+import functools
 import sys
 import time
 from types import TracebackType
-from typing import Self
-
-from rich.console import Console
-from rich.progress import TaskID
+from typing import TYPE_CHECKING, Self
 
 from orograph.cli.wording import spoken
 from orograph.compiling import COMPILING
 from orograph.progress import Progress, Task
 from orograph.reporting import bars
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as Bar
+    from rich.progress import TaskID
 
 COMPILING_KERNELS = "Compiling kernels, once for this machine"
 
@@ -72,24 +77,30 @@ class LineProgress(Progress):
     """
 
     def __init__(self, least: float = 1.0, quiet: bool = False) -> None:
-        self.console = Console(stderr=True, quiet=quiet)
-        self.live = self.console.is_terminal and not quiet
+        self.quiet = quiet or sys.stderr is None
+        self.live = not self.quiet and sys.stderr.isatty()
         self.least = least
         self.opened = 0
         self.warned: set[str] = set()
         self.timings: list[tuple[str, float]] = []
         self._compiled = COMPILING.count, COMPILING.seconds
         self._compiling: TaskID | None = None
-        self.bar = bars(self.console)
         if self.live:
             COMPILING.changed.append(self._show_compiling)
+
+    @functools.cached_property
+    def bar(self) -> Bar:
+        """The bars of a terminal."""
+        from rich.console import Console
+
+        return bars(Console(stderr=True))
 
     def task(self, what: str, total: float | None = None) -> Task:
         return LineTask(self, what, total)
 
     def line(self, what: str, seconds: float, remark: str = "") -> None:
         """Print a line about finished work."""
-        self.console.print(f"{what:<44} {seconds:6.2f} s{remark}", highlight=False, markup=False, soft_wrap=True)
+        self._print(f"{what:<44} {seconds:6.2f} s{remark}")
 
     def tell_compiled(self) -> None:
         """Print a line about the kernels compiled since the last such line, if that took noticeable time."""
@@ -115,8 +126,14 @@ class LineProgress(Progress):
         if text in self.warned:
             return
         self.warned.add(text)
-        self.console.print(f"warning: {text}", style="yellow", highlight=False, markup=False, soft_wrap=True)
+        self._print(f"warning: {text}", "yellow")
         sys.stderr.flush()
 
     def note(self, text: str) -> None:
-        self.console.print(spoken(text), highlight=False, markup=False, soft_wrap=True)
+        self._print(spoken(text))
+
+    def _print(self, text: str, style: str | None = None) -> None:
+        if self.live:
+            self.bar.console.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+        elif not self.quiet:
+            print(text, file=sys.stderr)

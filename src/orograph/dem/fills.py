@@ -35,7 +35,7 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
         usual: numbers, as stored, that often mean "missing".
         windows: how many to examine.
     """
-    parts = [p for p in (source.read(*box) for box in _boxes(source.shape, windows)) if np.isfinite(p).any()]
+    parts = [p for p in _read(source, windows) if np.isfinite(p).any()]
     if not parts:
         return []
     values = np.concatenate([p[np.isfinite(p)] for p in parts])
@@ -71,6 +71,17 @@ def suspected_fills(source: Source, usual: tuple[int, ...], windows: int = WINDO
             + ("." if source.encoding else f"(give `nodata={number:g}` if they are missing).")
         )
     return sentences
+
+
+def _read(source: Source, windows: int) -> Iterator[Heights]:
+    """The windows to examine; of a raster that is little more than they are, cut from a single read."""
+    rows, cols = source.shape
+    boxes = list(_boxes(source.shape, windows))
+    if rows * cols > 2 * _WHOLE:
+        yield from (source.read(*box) for box in boxes)
+        return
+    whole = source.read(0, rows, 0, cols)
+    yield from (whole[r0:r1, c0:c1] for r0, r1, c0, c1 in boxes)
 
 
 def _boxes(shape: tuple[int, int], windows: int) -> Iterator[tuple[int, int, int, int]]:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import sqlite3
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -74,6 +73,8 @@ def is_points(path: str | os.PathLike[str]) -> bool:
     suffix = file.suffix.lower()
     if suffix != ".gpkg":
         return not is_manifest(path) and suffix in (*TABLES, *CLOUDS, *VECTORS)
+    import sqlite3  # late, for only this needs it
+
     with (
         contextlib.suppress(sqlite3.Error),
         contextlib.closing(sqlite3.connect(f"file:{file.as_posix()}?mode=ro", uri=True)) as base,

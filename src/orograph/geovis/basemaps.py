@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
-from xml.sax.saxutils import escape
 
 from orograph.errors import UsageError
 from orograph.geovis.tile_packs import kept_folder, of_folder, of_pmtiles
@@ -90,10 +90,10 @@ class Basemap:
 
         url = self.url.replace("{z}", "${z}").replace("{x}", "${x}").replace("{y}", "${y}")
         return DESCRIPTION.format(
-            called=f"{PREFIX}{self.name}".replace("--", "-"), url=escape(url), world=WORLD, finest=self.finest,
+            called=f"{PREFIX}{self.name}".replace("--", "-"), url=escape(url, False), world=WORLD, finest=self.finest,
             origin="bottom" if self.bottom else "top", side=self.side,
-            levels=self.finest - self.coarsest, agent=escape(user_agent()), patience=PATIENCE,
-            connections=CONNECTIONS, cache=escape(str(cache)), fresh=FRESH,
+            levels=self.finest - self.coarsest, agent=escape(user_agent(), False), patience=PATIENCE,
+            connections=CONNECTIONS, cache=escape(str(cache), False), fresh=FRESH,
         )  # fmt: skip
 
 

@@ -7,7 +7,6 @@ The copy is kept in the cache folder under a name made of what it was made of; i
 from __future__ import annotations
 
 import re
-import sqlite3
 from collections.abc import Iterable, Iterator
 from contextlib import closing
 from hashlib import sha256
@@ -90,6 +89,8 @@ def _files(pattern: str) -> Iterator[tuple[int, int, int, Path]]:
 
 def _write(out: Path, tiles: Iterable[Tile]) -> None:
     """Write MBTiles, whole or not at all."""
+    import sqlite3  # late, for only this needs it
+
     with Beside(out) as part, closing(sqlite3.connect(part)) as base:
         base.execute("CREATE TABLE metadata (name text, value text)")
         base.execute("CREATE TABLE tiles (zoom_level integer, tile_column integer, tile_row integer, tile_data blob)")

@@ -11,7 +11,6 @@ import shutil
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,6 +100,8 @@ class Assembly:
 
     def described(self, tags: dict[str, Any]) -> Path:
         """The VRT of what has been added, with metadata."""
+        from xml.sax.saxutils import escape, quoteattr  # late, for it loads what talks to servers
+
         kind, count = ("Float32", 1) if self.depth else ("Byte", 3)
         said = "".join(f"<MDI key={quoteattr(name)}>{escape(str(text))}</MDI>" for name, text in tags.items())
         lines = [f'<VRTDataset rasterXSize="{self.width}" rasterYSize="{self.height}">', f"<Metadata>{said}</Metadata>"]

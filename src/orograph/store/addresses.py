@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from typing import Any
 from urllib.parse import unquote, urlsplit
-from urllib.request import url2pathname
 
 from orograph.errors import UsageError
 from orograph.store.bucket import SCHEMES, BucketStorage
@@ -26,6 +25,8 @@ def storage_at(url: str | os.PathLike[str], options: dict[str, Any] | None = Non
         )
     text = os.fspath(url)
     if text.startswith("file://"):
+        from urllib.request import url2pathname  # late, for it loads what talks to servers
+
         return FolderStorage(url2pathname(unquote(urlsplit(text).path)))
     scheme, found, _ = text.partition("://")
     if scheme in SCHEMES:

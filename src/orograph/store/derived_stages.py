@@ -9,14 +9,13 @@ import json
 import math
 import threading
 from dataclasses import replace
-from typing import IO, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from orograph.error import KINDS, ErrorKind
 from orograph.store.chunked import Kind, Words, lengths_spec, words_spec
-from orograph.store.chunked_build import MemoryChunks, Reached
 from orograph.store.chunked_kind import rows_of, spooled
 from orograph.store.digests import Digests, Spot
 from orograph.store.executing import Found, ShardStage
@@ -28,6 +27,9 @@ from orograph.store.storage import FolderStorage, Storage
 from orograph.store.stored import StoredTerrain
 from orograph.store.terrain import Heights
 from orograph.store.writer import ShardWriter
+
+if TYPE_CHECKING:
+    from orograph.store.chunked_build import Reached
 
 KNOWN = f"{HANDED}/record.json"
 """The current state of the store, for other processes."""
@@ -127,6 +129,8 @@ class ChunkStage(TerrainStage[Written]):
     name, label = "chunks", "Making chunks"
 
     def __init__(self, terrain: StoredTerrain, writer: ShardWriter, kind: Kind, spool: IO[bytes] | None = None) -> None:
+        from orograph.store.chunked_build import MemoryChunks
+
         super().__init__(terrain, writer)
         self.chunks, self.spool = MemoryChunks(terrain, kind, None if spool is not None else self._handed()), spool
         self.rows: list[int] = []
@@ -145,6 +149,8 @@ class ChunkStage(TerrainStage[Written]):
 
     def _handed(self) -> Reached | None:
         """The building process's results for this task."""
+        from orograph.store.chunked_build import Reached
+
         storage = self.writer.storage
         if not isinstance(storage, FolderStorage) or (text := storage.get(FINEST)) is None:
             return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import json
 import math
 from pathlib import Path
@@ -34,6 +33,8 @@ def warn_of_heights(
         extent: the lowest and the highest of the terrain, metres.
         kept: the store that is kept of these files. What this version found before is written there.
     """
+    import importlib.metadata  # late, for only this needs it
+
     version, doubts = importlib.metadata.version("orograph"), None
     if kept is not None:
         with contextlib.suppress(OSError, ValueError, AttributeError):

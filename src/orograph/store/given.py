@@ -19,13 +19,13 @@ from orograph.errors import UsageError
 from orograph.output import same_file
 from orograph.progress import SILENT, Progress
 from orograph.store.detect import is_store
-from orograph.store.memory import MemoryTerrain, is_metric
 from orograph.store.source import ArraySource, HeightSource, StoreSource
-from orograph.store.stored import StoredTerrain, open
 from orograph.store.typed import KINDS
 
 if TYPE_CHECKING:
     from orograph.dem.raster import Dem
+    from orograph.store.memory import MemoryTerrain
+    from orograph.store.stored import StoredTerrain
 
 TAKES = (
     "a path or URL of a DEM, of a folder of DEMs, of a file of points or of a store, a list of DEMs, a Dem, a Terrain, "
@@ -116,6 +116,9 @@ def source_of(given: Any, progress: Progress = SILENT, *, called: str = "terrain
         from orograph.dem.mosaic import Mosaic
 
         return Mosaic.open(files, progress=progress, **options_of_rasters(reading))
+    from orograph.store.memory import MemoryTerrain, is_metric
+    from orograph.store.stored import StoredTerrain
+
     if isinstance(given, MemoryTerrain | StoredTerrain):
         source = source_of_terrain(given)
         return _part(source, _fitting(reading, OF_AREAS, "a Terrain, which has already been read"))
@@ -205,6 +208,8 @@ def _asked(name: str, value: Any) -> bool:
 
 def _of_store(path: str, reading: dict[str, Any]) -> HeightSource:
     """The full resolution of the store at a path or URL, or the part of it in an area."""
+    from orograph.store.stored import open
+
     area = _fitting(
         {k: v for k, v in reading.items() if _asked(k, v)},
         OF_AREAS,
@@ -223,6 +228,8 @@ def stores_in(source: HeightSource) -> list[StoredTerrain]:
 
 def source_of_terrain(terrain: MemoryTerrain | StoredTerrain) -> HeightSource:
     """The full resolution of a terrain as a source."""
+    from orograph.store.stored import StoredTerrain
+
     if isinstance(terrain, StoredTerrain):
         return StoreSource(terrain)
     return ArraySource(terrain.heights, terrain.grid, terrain.name, terrain.vertical, terrain.attribution)

@@ -86,12 +86,12 @@ def make_patches(record: Record, work: Work) -> Record:
 
 def make_tins(record: Record, work: Work) -> Record:
     """TINs of patches, from heights; their marks wait in temporary files."""
-    from orograph.store.tin_build import made_by
-    from orograph.store.tin_stage import Bands
-
     shape, legs = record.grid.shape, work.tins
     if legs is None or np.isnan(record.height_range[0]) or 1 << exponent(shape) <= legs:
         return record
+    from orograph.store.tin_build import made_by
+    from orograph.store.tin_stage import Bands
+
     terrain = work.terrain(record)
     found = made_by(terrain, legs, Bands(terrain, work.writer, legs, work.executor), work.progress)
     for level in stored_tin_levels(shape, legs):
@@ -118,12 +118,12 @@ def make_chunked(record: Record, work: Work) -> Record:
 
 def make_quadtin(record: Record, work: Work) -> Record:
     """The hierarchy of a QuadTIN, from heights or points; its blocks wait in temporary files."""
+    if work.quadtin is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
+        return record
     from orograph.store.quadtin_grow import Making
     from orograph.store.quadtin_make import Here, Rounds, made
     from orograph.store.quadtin_stage import Tasks
 
-    if work.quadtin is None or np.isnan(record.height_range[0]) or min(record.grid.shape) < 2:
-        return record
     finest, split = work.quadtin
     sizes = record.shard, record.chunk
     lengths: list[list[int]] = [[] for _ in DEPTHS]

@@ -191,14 +191,16 @@ def _compared(
         known = counts[strip] & ~np.isnan(off)
         if not known.any():
             continue
-        count += int(known.sum())
-        largest = max(largest, float(off[known].max()))
-        squares.append(_block_sums(np.where(known, off * off, 0.0)))
-        lost = np.maximum(own - highest[strip], 0.0)
-        summit_loss = max(summit_loss, float(lost[known & (own >= _neighbours(part))].max(initial=0.0)))
+        count += int(np.count_nonzero(known))
+        off[~known] = 0.0
+        largest = max(largest, float(off.max()))
+        squares.append(_block_sums(np.multiply(off, off, out=off)))
+        summits = known & (own >= _neighbours(part))
+        lost = own[summits] - highest[strip][summits]
+        summit_loss = max(summit_loss, float(lost.max(initial=0.0)))
         at = np.unravel_index(int(np.argmax(np.where(known, own, -np.inf))), own.shape)
         if own[at] > top:
-            top, top_loss = float(own[at]), float(lost[at])
+            top, top_loss = float(own[at]), max(float(own[at] - highest[strip][at]), 0.0)
     return np.array([count, largest, summit_loss, top, top_loss]), np.concatenate(squares)
 
 
@@ -212,9 +214,7 @@ def _block_sums(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _neighbours(heights: Heights) -> Heights:
     """(rows − 2, cols − 2): the highest of each sample's eight neighbours, −inf where there is none."""
-    rows, cols = heights.shape
     filled = np.where(np.isnan(heights), np.float32(-np.inf), heights)
-    out = np.full((rows - 2, cols - 2), -np.inf, np.float32)
-    for i, j in ((0, 0), (0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1), (2, 2)):
-        np.maximum(out, filled[i : i + rows - 2, j : j + cols - 2], out=out)
-    return out
+    across = np.maximum(np.maximum(filled[:, :-2], filled[:, 2:]), filled[:, 1:-1])
+    beside = np.maximum(filled[1:-1, :-2], filled[1:-1, 2:])
+    return np.maximum(np.maximum(across[:-2], across[2:]), beside)
