@@ -34,14 +34,17 @@ from orograph._lanes32 import (
     gather32,
     lane,
     least_unsigned,
+    lengths32,
     load32,
     marked,
     marked_before,
     picked32,
+    quotients32,
     shifted_in,
     shifted_right,
     spread32,
     store32,
+    store_before,
     transpose32,
 )
 from orograph._numba import kernel
@@ -157,6 +160,8 @@ def whole_numbers(x, y, pool, words, out):
     store32(out, 224, float_bits(b))
     store32(out, 240, where(marked(0b1010000000000101), a, 0))
     store32(out, 256, picked32(words, 3, b & 15))
+    store32(out, 272, lengths32(a))
+    store32(out, 288, lengths32(shifted_right(a, b & 31)))
     return count_of(a < 0), lane(a, 15), some(a == 3)
 
 
@@ -165,7 +170,7 @@ def test_sixteen_whole_numbers() -> None:
     a, b = rng.integers(-(2**31), 2**31, (2, 16)).astype(np.int32)
     a[:4], b[:3] = [3, -(2**31), 2**31 - 1, 0], [3, 1, -1]
     pool, words = rng.integers(-(2**31), 2**31, 32).astype(np.int32), rng.integers(0, 2**16, 32).astype(np.uint16)
-    out, bits, low = np.empty(272, np.int32), a.view(np.uint32), b & 31
+    out, bits, low = np.empty(304, np.int32), a.view(np.uint32), b & 31
     assert whole_numbers(a, b, pool, words, out) == ((a < 0).sum(), a[15], True)
     before = np.concatenate([[0], np.cumsum(a < 0)[:-1]])
     right = ((bits >> low.astype(np.uint32)) + (np.uint32(1) << low.astype(np.uint32))).view(np.int32)
@@ -173,19 +178,54 @@ def test_sixteen_whole_numbers() -> None:
     expected = [a + b, a - b, a * b, 7 - a, (a & 255) | (b << 3), (a ^ b) >> 5, (bits >> np.uint32(5)).view(np.int32)]
     expected += [right, np.where((a < b) & (a != 3), a, b), np.minimum(bits, 4095), pool[low], words[low]]
     expected += [np.concatenate([[5], a[:-1]]), before, b.astype(np.float32).view(np.int32), a * np.array(chosen)]
-    expected.append(words[3 + (b & 15)])
-    np.testing.assert_array_equal(out.reshape(17, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
+    shifted = bits >> low.astype(np.uint32)
+    expected += [words[3 + (b & 15)], *([int(v).bit_length() for v in some] for some in (bits, shifted))]
+    np.testing.assert_array_equal(out.reshape(19, 16), np.array([np.asarray(e).astype(np.int32) for e in expected]))
+
+
+@kernel
+def divided(x, y, out):
+    for k in range(0, x.size, 16):
+        store32(out, k, quotients32(load32(x, k), load32(y, k)))
+
+
+def test_whole_quotients() -> None:
+    """All below 2^20: of numbers next to multiples of the divisor, where floats are off by one, and others."""
+    rng = np.random.default_rng(3)
+    divisor = np.repeat(np.concatenate([np.arange(1, 4097), rng.integers(1, 2**16, 4096)]), 16)
+    most = np.minimum(divisor << 20, 2**32) - 1
+    number = np.minimum((rng.random(divisor.size) * most).astype(np.int64) // divisor * divisor, most)
+    number = np.clip(number + rng.integers(-1, 2, number.size), 0, most)
+    number[::16], number[1::16] = most[::16], divisor[1::16] - 1
+    out = np.empty(number.size, np.int32)
+    divided(number.astype(np.uint32).view(np.int32), divisor.astype(np.int32), out)
+    np.testing.assert_array_equal(out, number // divisor)
+
+
+@kernel
+def packed(x, marks, words):
+    store_before(words, 20, load32(x, 0), marked(marks))
+
+
+def test_words_of_marked_lanes_end_before_a_place() -> None:
+    rng = np.random.default_rng(4)
+    for marks in (0, 1, 0x8000, 0xFFFF, *rng.integers(0, 2**16, 60)):
+        x, words = rng.integers(-(2**31), 2**31, 16).astype(np.int32), np.full(24, 7, np.uint16)
+        packed(x, int(marks), words)
+        chosen = x[[int(marks) >> k & 1 == 1 for k in range(16)]].astype(np.uint16)
+        np.testing.assert_array_equal(words[20 - chosen.size :], [*chosen, 7, 7, 7, 7])
+        assert (words[:4] == 7).all()
 
 
 @kernel
 def across(square, out):
-    transpose32(square, 3, out, 2, 20)
+    transpose32(square, 3, 17, out, 2, 20)
 
 
 def test_lanes_lie_side_by_side() -> None:
-    square, out = np.random.default_rng(2).integers(-(2**31), 2**31, 259).astype(np.int32), np.zeros(322, np.int32)
+    square, out = np.random.default_rng(2).integers(-(2**31), 2**31, 275).astype(np.int32), np.zeros(322, np.int32)
     across(square, out)
-    np.testing.assert_array_equal(out[2:].reshape(16, 20)[:, :16], square[3:].reshape(16, 16).T)
+    np.testing.assert_array_equal(out[2:].reshape(16, 20)[:, :16], square[3:].reshape(16, 17)[:, :16].T)
     assert not out[:2].any() and not out[2:].reshape(16, 20)[:, 16:].any()
 
 

@@ -207,13 +207,75 @@ def least_unsigned(typing: Any, values: Any, most: Any) -> Any:
 
 
 @operation
-def transpose32(typing: Any, source: Any, index: Any, target: Any, at: Any, stride: Any) -> Any:
-    """Put the numbers of each lane side by side: of sixteen times sixteen from ``index`` on in a flat int32 array,
-    those of lane i go to ``at`` + i ``stride`` of another."""
+def lengths32(typing: Any, values: Any) -> Any:
+    """The number of binary digits of each as an unsigned number."""
 
     def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        first = builder.bitcast(_address(context, builder, args[0], args[1], sig), _WORDS.as_pointer())
-        rows = [builder.load(builder.gep(first, [_at(k)]), align=4) for k in range(LANES32)]
+        kind = ir.FunctionType(_WORDS, [_WORDS, ir.IntType(1)])
+        count = cgutils.get_or_insert_function(builder.module, kind, f"llvm.ctlz.v{LANES32}i32")
+        zeros = builder.call(count, [args[0], ir.Constant(ir.IntType(1), 0)])
+        return builder.sub(_spread(builder, ir.Constant(ir.IntType(32), 32), LANES32), zeros)
+
+    return INTS32(values), lowered
+
+
+@operation
+def quotients32(typing: Any, values: Any, divisors: Any) -> Any:
+    """Lanes as unsigned numbers, divided by others below 2^16; quotients are below 2^20. Floats give them with an error
+    below one, and remainders correct it."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        floats = ir.VectorType(ir.FloatType(), LANES32)
+        one = _spread(builder, ir.Constant(ir.FloatType(), 1.0), LANES32)
+        inverse = builder.fdiv(one, builder.uitofp(args[1], floats))
+        found = builder.fptosi(builder.fmul(builder.uitofp(args[0], floats), inverse), _WORDS)
+        rest = builder.sub(args[0], builder.mul(found, args[1]))
+        more = builder.zext(builder.icmp_signed(">=", rest, args[1]), _WORDS)
+        return builder.add(builder.add(found, more), builder.ashr(rest, _spread(builder, _at(31), LANES32)))
+
+    return INTS32(values, divisors), lowered
+
+
+@operation
+def store_before(typing: Any, array: Any, index: Any, values: Any, marks: Any) -> Any:
+    """Write the lowest 16 bits of marked lanes into a flat uint16 array, in their order, the last one before ``index``.
+    Sixteen elements before ``index`` may change."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        half, features = ir.IntType(16), context.codegen()._tm_features.split(",")
+        if "+avx512f" in features:
+            kind = ir.FunctionType(_WORDS, [_WORDS, _WORDS, _MARKS])
+            name = f"llvm.x86.avx512.mask.compress.v{LANES32}i32"
+            compress = cgutils.get_or_insert_function(builder.module, kind, name)
+            packed = builder.call(compress, [args[2], args[2], args[3]])
+            count = builder.zext(builder.ctpop(builder.bitcast(args[3], half)), ir.IntType(32))
+            order = builder.add(_spread(builder, count, LANES32), ir.Constant(_WORDS, list(range(LANES32))))
+            packed = _permuted(builder, "llvm.x86.avx512.permvar.si.512", packed, order)
+            place = builder.gep(_address(context, builder, args[0], args[1], sig), [_at(-LANES32)])
+            narrow = ir.VectorType(half, LANES32)
+            builder.store(builder.trunc(packed, narrow), builder.bitcast(place, narrow.as_pointer()), align=2)
+            return context.get_dummy_value()
+        place = _address(context, builder, args[0], args[1], sig)
+        for k in reversed(range(LANES32)):
+            builder.store(builder.trunc(_lane(builder, args[2], k), half), builder.gep(place, [_at(-1)]), align=2)
+            place = builder.gep(place, [builder.sext(builder.extract_element(args[3], _at(k)), ir.IntType(64))])
+        return context.get_dummy_value()
+
+    return types.void(array, index, values, marks), lowered
+
+
+@operation
+def transpose32(typing: Any, source: Any, index: Any, apart: Any, target: Any, at: Any, stride: Any) -> Any:
+    """Put the numbers of each lane side by side: of sixteen times sixteen in a flat int32 array, which are at ``index``
+    and each ``apart`` from there, those of lane i go to ``at`` + i ``stride`` of another."""
+
+    def lowered(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _address(context, builder, args[0], args[1], sig)
+        step = context.cast(builder, args[2], sig.args[2], types.int64)
+        rows = []
+        for _ in range(LANES32):
+            rows.append(builder.load(builder.bitcast(place, _WORDS.as_pointer()), align=4))
+            place = builder.gep(place, [step])
         for bit in (1, 2, 4, 8):  # (rows and columns whose numbers differ in this bit change places)
             low = ir.Constant(_WORDS, [k if k & bit == 0 else LANES32 + k - bit for k in range(LANES32)])
             high = ir.Constant(_WORDS, [k + bit if k & bit == 0 else LANES32 + k for k in range(LANES32)])
@@ -221,11 +283,12 @@ def transpose32(typing: Any, source: Any, index: Any, target: Any, at: Any, stri
                 if k & bit == 0:
                     a, b = rows[k], rows[k + bit]
                     rows[k], rows[k + bit] = builder.shuffle_vector(a, b, low), builder.shuffle_vector(a, b, high)
-        data = context.make_array(sig.args[2])(context, builder, args[2]).data
-        place, step = (context.cast(builder, args[k], sig.args[k], types.int64) for k in (3, 4))
+        data = context.make_array(sig.args[3])(context, builder, args[3]).data
+        place, step = (context.cast(builder, args[k], sig.args[k], types.int64) for k in (4, 5))
         for row in rows:
             builder.store(row, builder.bitcast(builder.gep(data, [place]), _WORDS.as_pointer()), align=4)
             place = builder.add(place, step)
         return context.get_dummy_value()
 
-    return types.void(source, index, target, types.unliteral(at), types.unliteral(stride)), lowered
+    numbers = [types.unliteral(number) for number in (apart, at, stride)]
+    return types.void(source, index, numbers[0], target, *numbers[1:]), lowered

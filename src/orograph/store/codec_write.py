@@ -6,12 +6,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._lanes import LANES32
+from orograph._lanes import LANES32, least, most, some, where
+from orograph._lanes32 import (
+    count_of,
+    gather32,
+    least_unsigned,
+    lengths32,
+    load32,
+    quotients32,
+    shifted_right,
+    spread32,
+    store32,
+    store_before,
+)
 from orograph._numba import inlined, kernel, linked, shared
 from orograph.store.codec_head import BITS, DEEPEST, DIRECT, LEAST, MISSING, START, SYMBOLS, TOTAL, frequencies
 from orograph.store.compact_contexts import length, log2
 
 FINE = 5  # bits of a mean value in symbols; those below are separate
+RANGE = 1 << 16  # marks the codes of ranges
 CODES, LN2 = 48, 0.6931471805599453  # of frequencies; the natural logarithm of 2
 WEIGHT = np.array([code if code < 8 else (4 + code % 4) << (code // 4 - 1) for code in range(CODES)], np.float64)
 SURPRISE = np.array([1e9] + [float(BITS) - log2(weight) for weight in WEIGHT[1:]])  # bits of a symbol, by its code
@@ -82,33 +95,24 @@ def decided_tables(values, contexts, number, rare, coarse, depths, direct, found
 
     If any table has bits below its symbols, a mean value has ``coarse`` bits in symbols, for all of them.
     """
-    parts = np.zeros(4 * 2 * number, np.int64)  # (in four parts, for neighbours mostly have the same context)
-    size, sizes = values.size, np.zeros(number, np.int64)
-    flat, of = values.reshape(size), contexts.reshape(size)
-    for k in range(size):
-        here = np.uint64(((k & 3) * number + of[k]) * 2)
-        parts[here] += np.int64(flat[k])
-        parts[here + np.uint64(1)] += 1
-    sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64)
-    for c in range(4 * number):
-        sums[c % number] += parts[2 * c]
-        counts[c % number] += parts[2 * c + 1]
+    sizes, sums, counts = np.zeros(number, np.int64), np.zeros(number, np.int64), np.zeros(number, np.int64)
+    flat, of = values.reshape(values.size), contexts.reshape(values.size)
+    large = np.empty(values.size, np.int64)
+    many = _count_values(flat, of, depths, found, large)
+    for k in range(many):
+        sums[of[large[k]]] += np.int64(flat[large[k]])
+        counts[of[large[k]]] += 1
     for c in range(number):
+        for value in range(DIRECT):
+            sums[c] += value * found[c, value]
+            counts[c] += found[c, value]
         depths[c] = max(length(sums[c] // max(counts[c], 1)) - FINE, 0)
         direct[c] = DIRECT
     if depths.any():  # (then decoders read such bits of all samples, and more of them take no longer)
         for c in range(number):
             depths[c] = min(max(length(sums[c] // max(counts[c], 1)) - coarse, 0), DEEPEST)
-    large, many = np.empty(size, np.int64), 0  # where values are that are ranges in any case
-    every = found.reshape(found.size)
-    for k in range(size):
-        context = np.int64(of[k])
-        value = np.int64(flat[k]) >> depths[np.uint64(context)]
-        if value < DIRECT:
-            every[np.uint64(context * SYMBOLS + value)] += 1
-        else:
-            large[many] = k
-            many += 1
+        found[:] = 0
+        many = _count_values(flat, of, depths, found, large)
     for c in range(number):
         beyond, s = counts[c] - found[c, :DIRECT].sum(), DIRECT  # from here on, ranges cost hardly more
         while s > 0 and beyond + found[c, s - 1] <= counts[c] >> rare:
@@ -129,6 +133,22 @@ def decided_tables(values, contexts, number, rare, coarse, depths, direct, found
         direct[c] = min(direct[c], sizes[c]) if counts[c] else 1
         frequencies(codes[c], sizes[c], found[c])
     return sizes
+
+
+@linked
+def _count_values(values, contexts, depths, found, large):
+    """Count the values of each context, without the bits below them, in ``found``; return how many are ranges in any
+    case. Where they are is put in ``large``."""
+    every, many = found.reshape(found.size), 0
+    for k in range(values.size):
+        context = np.int64(contexts[k])
+        value = np.int64(values[k]) >> depths[np.uint64(context)]
+        if value < DIRECT:
+            every[np.uint64(context * SYMBOLS + value)] += 1
+        else:
+            large[many] = k
+            many += 1
+    return many
 
 
 @linked
@@ -215,92 +235,111 @@ def _write_run(out, at, run):
 
 
 @inlined
-def push(x, p, words, both, inverse, at):
-    """Encode a symbol: (the state before it, the word before). A word before the first is written, but does not count.
-
-    Multiplying by the inverse divides: the added half keeps the product off integers by more than its rounding error.
-
-    Args:
-        both, inverse: from ``ready_to_push``. at: which symbol of which table.
-    """
-    frequency, below = both[np.uint64(at)] & 0xFFFF, both[np.uint64(at)] >> 16
-    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)  # (no branch: whether a word is due is unpredictable)
-    full = x >= frequency << (32 - BITS)
-    x, p = x >> 16 if full else x, p - full
-    return np.int64((x + 0.5) * inverse[np.uint64(at)]) * (TOTAL - frequency) + below + x, p
+def _spilled(states, p, words, full):
+    """Write a word of each full state: (the states without them; the word before)."""
+    store_before(words, p, states, full)
+    return where(full, shifted_right(states, 16), states), p - count_of(full)
 
 
 @inlined
-def push_plain(x, p, words, bits, value):
-    """Encode plain bits: (the state before them, the word before)."""
-    words[np.uint64(p - 1)] = np.uint16(x & 0xFFFF)
-    full = x >= np.int64(1) << (32 - bits)
-    x, p = x >> 16 if full else x, p - full
-    return x << bits | value, p
+def _push(states, p, words, both):
+    """Encode a symbol of each lane: (the states before them; the word before).
+
+    Args:
+        both: frequencies and, 16 bits up, the sums of those before (``_ready_to_push``).
+    """
+    frequencies = both & 0xFFFF
+    states, p = _spilled(states, p, words, shifted_right(states, 32 - BITS) >= frequencies)
+    return quotients32(states, frequencies) * (TOTAL - frequencies) + shifted_right(both, 16) + states, p
+
+
+@inlined
+def _push_plain(states, p, words, bits, values):
+    """Encode plain bits of each lane, at most 16: (the states before them; the word before)."""
+    states, p = _spilled(states, p, words, shifted_right(states, 16) >= (spread32(1) << (16 - bits)))
+    return (states << bits) | values, p
 
 
 @linked
-def ready_to_push(found):
-    """For each table and symbol, flat: the frequency and, 16 bits up, the sum of those before; and the inverse."""
-    both, inverse = np.zeros(found.size, np.int64), np.ones(found.size)
+def _ready_to_push(found):
+    """For each table and symbol, flat int32: the frequency and, 16 bits up, the sum of those before. Then for a lane
+    that has nothing: a symbol that changes no state."""
+    both = np.zeros(found.size + SYMBOLS, np.int32)
+    both[found.size] = TOTAL
     for c in range(found.shape[0]):
         below = np.int64(0)
         for s in range(SYMBOLS):
-            if found[c, s]:
-                both[c * SYMBOLS + s] = found[c, s] | below << 16
-                inverse[c * SYMBOLS + s] = 1.0 / found[c, s]
-                below += found[c, s]
-    return both, inverse
+            both[c * SYMBOLS + s] = found[c, s] | below << 16
+            below += found[c, s]
+    return both
+
+
+@linked
+def _for_lanes(numbers, none):
+    """Numbers of tables as int32, and that of the lanes that have nothing."""
+    out = np.full(numbers.size + 1, none, np.int32)
+    for c in range(numbers.size):
+        out[c] = numbers[c]
+    return out
 
 
 @kernel
-def write_stream(values, codes, ranges, depths, direct, found, words, states):
-    """Write the words from the end, in the opposite order of reading; where they begin.
+def put_codes(values, tables, depths, direct):
+    """Put the codes of values where their tables are: the table's number times ``SYMBOLS``, plus the symbol, plus
+    ``RANGE`` if it is a range.
 
     Args:
-        values: flat, of sixteen lanes in each step. codes: of each, a table's number times ``SYMBOLS``, plus the
-            symbol; -1 where a lane has nothing. ranges: of each step, whether it has ranges.
-        states: (LANES32,) int64, become those to begin with.
+        values, tables: flat, with room for whole lanes; tables: int32, become codes.
     """
-    p, deep = np.int64(words.size), depths.any()
-    both, inverse = ready_to_push(found)
-    states[:] = LEAST
-    for step in range(ranges.size - 1, -1, -1):
-        at = step * LANES32
-        if deep:
-            p = _push_low(values, codes, at, depths, states, p, words)
-        if ranges[step]:
-            p = _push_ranges(values, codes, at, depths, direct, states, p, words)
-        for i in range(LANES32 - 1, -1, -1):
-            code = np.int64(codes[np.uint64(at + i)])
-            if code >= 0:
-                states[np.uint64(i)], p = push(states[np.uint64(i)], p, words, both, inverse, code)
+    below, firsts = _for_lanes(depths, 0), _for_lanes(direct, 0)
+    for k in range(0, values.size // LANES32 * LANES32, LANES32):
+        table = load32(tables, k)
+        value, first = shifted_right(load32(values, k), gather32(below, table)), gather32(firsts, table)
+        ranged = least_unsigned(value, DIRECT) >= first
+        symbol = where(ranged, first + (RANGE - 1) + lengths32(value - first + 1), value)
+        store32(tables, k, table * SYMBOLS + symbol)
+
+
+@kernel
+def write_stream(values, offsets, apart, codes, depths, direct, found, words, states):
+    """Write the words from the end, in the opposite order of reading; return where they begin.
+
+    Args:
+        values: flat. offsets: (LANES32,) int32, where the first value of each lane is. apart: how far the value of
+            the next step is from it.
+        codes: flat, of sixteen lanes in each step (``put_codes``); the number of tables times ``SYMBOLS`` where a lane
+            has nothing.
+        words: uint16, with room for ``LANES32`` more. states: (LANES32,) int32, become those to begin with.
+    """
+    p, deep, lanes = np.int64(words.size), depths.any(), load32(offsets, 0)
+    both, below, firsts = _ready_to_push(found), _for_lanes(depths, 0), _for_lanes(direct, SYMBOLS)
+    now = spread32(LEAST)
+    for step in range(codes.size // LANES32 - 1, -1, -1):
+        code = load32(codes, step * LANES32)
+        ranged = code >= RANGE
+        if deep or some(ranged):
+            code = code & (RANGE - 1)
+            value, table = gather32(values, lanes + step * apart), shifted_right(code, 8)
+            depth = gather32(below, table)
+            if deep:
+                now, p = _push_plain(now, p, words, depth, value & ((spread32(1) << depth) - 1))
+            if some(ranged):
+                first = gather32(firsts, table)
+                bits = where(ranged, (code & (SYMBOLS - 1)) - first, 0)
+                beyond = where(ranged, shifted_right(value, depth) - first + 1 - (spread32(1) << bits), 0)
+                if some(bits > 16):
+                    now, p = _push_plain(now, p, words, most(bits - 16, 0), shifted_right(beyond, 16))
+                now, p = _push_plain(now, p, words, least(bits, 16), beyond & 0xFFFF)
+        now, p = _push(now, p, words, gather32(both, code))
+    store32(states, 0, now)
     return p
 
 
 @linked
-def _push_low(values, codes, at, depths, states, p, words):
-    """Write the bits below the symbols of sixteen values; the word before."""
-    for i in range(LANES32 - 1, -1, -1):
-        depth = depths[codes[at + i] // SYMBOLS] if codes[at + i] >= 0 else 0
-        if depth:
-            low = np.int64(values[at + i]) & ((1 << depth) - 1)
-            states[i], p = push_plain(states[i], p, words, depth, low)
-    return p
-
-
-@linked
-def _push_ranges(values, codes, at, depths, direct, states, p, words):
-    """Write the bits of the ranges of sixteen values: those above sixteen bits before the rest; the word before."""
-    for high in range(1, -1, -1):
-        for i in range(LANES32 - 1, -1, -1):
-            c = codes[at + i] // SYMBOLS
-            bits = codes[at + i] - c * SYMBOLS - direct[c] if c >= 0 else -1
-            if bits < 0:
-                continue
-            beyond = (np.int64(values[at + i]) >> depths[c]) - direct[c] + 1 - (np.int64(1) << bits)
-            if high and bits > 16:
-                states[i], p = push_plain(states[i], p, words, bits - 16, beyond >> 16)
-            elif not high:
-                states[i], p = push_plain(states[i], p, words, min(bits, 16), beyond & 0xFFFF)
-    return p
+def with_stream(head, at, states, words):
+    """The bytes of a chunk: of its head, of states and of words."""
+    out = np.empty(at + 4 * states.size + 2 * words.size, np.uint8)
+    out[:at] = head[:at]
+    out[at : at + 4 * states.size] = states.view(np.uint8)
+    out[at + 4 * states.size :] = words.view(np.uint8)
+    return out

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import linked, shared
+from orograph._numba import leaf, linked, shared
 from orograph.store.compact_decode import (
     CONTEXTS,
     LEVELS,
@@ -84,12 +84,16 @@ def token(value):
     return 64 + (bits - 7) * 4 + ((value >> (bits - 3)) & 3)
 
 
-@linked
-def cost_of(counts, more, share):
-    """Bits of the counted values, ``share`` times ``more`` (which may be longer) included, and of their table."""
+@leaf
+def cost_of(counts, one, other, size, share):
+    """Bits of the values that one context counts, ``share`` times those of the other included, and of their table.
+
+    Args:
+        counts: of each context. size: beyond which they are 0.
+    """
     total, bits, kinds = 0, 0.0, 0
-    for k in range(counts.size):
-        count = counts[k] + share * more[k]
+    for k in range(size):
+        count = counts[one, k] + share * counts[other, k]
         total, kinds = total + count, kinds + (count > 0)
         bits -= _entropy(count)
     return bits + _entropy(total) + 16 + ENTRY * kinds if total else 0.0
@@ -128,9 +132,9 @@ def joined(counts, lengths, groups, bounds, most):
     left, costs, joint, at = groups, np.zeros(groups), np.zeros(groups), np.arange(groups)
     for k in range(groups):
         bounds[k] = k
-        costs[k] = cost_of(counts[k, : lengths[k]], counts[k], 0)
+        costs[k] = cost_of(counts, k, k, lengths[k], 0)
     for k in range(groups - 1):
-        joint[k] = cost_of(counts[k, : max(lengths[k], lengths[k + 1])], counts[k + 1], 1)
+        joint[k] = cost_of(counts, k, k + 1, max(lengths[k], lengths[k + 1]), 1)
     while left > 1:
         best = 0
         for k in range(1, left - 1):
@@ -146,7 +150,7 @@ def joined(counts, lengths, groups, bounds, most):
         left -= 1
         for k in range(max(best - 1, 0), min(best + 1, left - 1)):
             one, two = at[k], at[k + 1]
-            joint[k] = cost_of(counts[one, : max(lengths[one], lengths[two])], counts[two], 1)
+            joint[k] = cost_of(counts, one, two, max(lengths[one], lengths[two]), 1)
     for k in range(left):
         counts[k], lengths[k] = counts[at[k]], lengths[at[k]]
     return left

@@ -27,7 +27,8 @@ from orograph.store.codec_write import (
     FINE,
     based,
     decided_tables,
-    symbol_of,
+    put_codes,
+    with_stream,
     write_mask,
     write_stream,
     write_tables,
@@ -63,7 +64,7 @@ def fitted(numbers, weights):
     count, sums, used = max(cols - 4, 0), sums_of(AROUND), 0
     features = features_of(AROUND, count)
     width = features.shape[1]
-    shares, scratch, counted = np.empty(width), np.empty(width), np.zeros(width, np.int32)
+    shares, scratch, counted = np.empty(width), np.empty(2 * width), np.zeros(width, np.int32)
     for row in range(2, rows, max(rows // SAMPLED, 1)):
         far, near, line = numbers[row - 2], numbers[row - 1], numbers[row]
         _mark_counted(far, near, line, counted[:count])
@@ -104,19 +105,6 @@ def _values(numbers, weights, lowest, highest, values):
 
 
 @kernel
-def _coded(values, contexts, depths, direct):
-    """The codes of all values, flat, and of each sixteen whether they have ranges (``write_stream``)."""
-    flat, of = values.reshape(values.size), contexts.reshape(values.size)
-    codes, ranges = np.empty(flat.size, np.int32), np.zeros(flat.size // LANES32, np.bool_)
-    for k in range(flat.size):
-        c = np.uint64(of[k])
-        symbol = symbol_of(np.int64(flat[k]) >> depths[c], direct[c])
-        codes[k] = np.int64(c) * SYMBOLS + symbol
-        ranges[k // LANES32] |= symbol >= direct[c]
-    return flat, codes, ranges
-
-
-@kernel
 def encode(numbers):
     """Return the bytes of a chunk, (n,) uint8.
 
@@ -148,9 +136,11 @@ def encode(numbers):
     codes = np.zeros((contexts, SYMBOLS), np.int64)
     found = np.zeros((contexts, SYMBOLS), np.int64)
     sizes = decided_tables(values, activity, contexts, RARE, FINE, depths, direct, found, codes)
-    words, states = np.empty(WORDS * values.size + 1, np.uint16), np.empty(LANES32, np.int64)
-    flat, steps, ranges = _coded(values, activity, depths, direct)
-    p = write_stream(flat, steps, ranges, depths, direct, found, words, states)
+    flat, steps = values.reshape(values.size), activity.reshape(values.size)
+    put_codes(flat, steps, depths, direct)
+    words, states = np.empty(WORDS * values.size + LANES32, np.uint16), np.empty(LANES32, np.int32)
+    lanes = np.arange(LANES32).astype(np.int32)
+    p = write_stream(flat, lanes, LANES32, steps, depths, direct, found, words, states)
     head = np.zeros(HEADER + CONTEXTS * (4 + 8 * SYMBOLS) + (2 * numbers.size + 16 if missing else 0), np.uint8)
     mode, at = 0, HEADER
     head[0], head[2], head[3] = VERSION, contexts, shift
@@ -167,13 +157,4 @@ def encode(numbers):
         mode = 1 if one <= two else 2
         at = write_mask(numbers, mode, head, at)
     head[1] = mode
-    out = np.empty(at + 4 * LANES32 + 2 * (words.size - p), np.uint8)
-    for k in range(at):
-        out[k] = head[k]
-    for lane in range(LANES32):
-        write_u32(out, at + 4 * lane, states[lane])
-    at += 4 * LANES32
-    for k in range(words.size - p):
-        out[at + 2 * k] = np.uint8(words[p + k] & 255)
-        out[at + 2 * k + 1] = np.uint8(words[p + k] >> 8)
-    return out
+    return with_stream(head, at, states, words[p:])

@@ -49,6 +49,9 @@ class DiamondTable(Protocol):
             DamagedChunkError: a chunk of a store fails its checksum.
         """
 
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """The errors alone, as ``read`` gives them."""
+
 
 @dataclass(frozen=True, slots=True)
 class DiamondCodes:
@@ -132,8 +135,11 @@ class MemoryDiamonds:
         self.terrain, self.errors, self.radii = terrain, errors, radii
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
+        return self.values(level, row0, row1, col0, col1), self.radii[level][row0:row1, col0:col1]
+
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         self.terrain.check_window(self.terrain.diamond_shape(level), row0, row1, col0, col1)
-        return self.errors[level][row0:row1, col0:col1], self.radii[level][row0:row1, col0:col1]
+        return self.errors[level][row0:row1, col0:col1]
 
 
 class StoredDiamonds:
@@ -144,12 +150,14 @@ class StoredDiamonds:
         self._top: Heights | None = None
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
-        terrain, window = self.terrain, (row0, row1, col0, col1)
-        terrain.check_window(terrain.diamond_shape(level), *window)
-        errors = self.code.decode(self._codes(self.kind, level, *window))
-        if level == terrain.levels - 1:
+        errors, window = self.values(level, row0, row1, col0, col1), (row0, row1, col0, col1)
+        if level == self.terrain.levels - 1:
             return errors, self._top_radii()[row0:row1, col0:col1]
         return errors, self.radius.decode(self._codes("radius", level, *window), row0, col0, level)
+
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        self.terrain.check_window(self.terrain.diamond_shape(level), row0, row1, col0, col1)
+        return self.code.decode(self._codes(self.kind, level, row0, row1, col0, col1))
 
     def _codes(self, name: str, level: int, row0: int, row1: int, col0: int, col1: int) -> Any:
         terrain = self.terrain

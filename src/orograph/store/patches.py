@@ -92,8 +92,8 @@ def patch_errors(
 class Table(Protocol):
     """Values of diamonds (``diamond_table``)."""
 
-    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Any]:
-        """The values of entries, and something else."""
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """The values of the entries ``[row0, row1) × [col0, col1)`` of a level."""
 
 
 class ColorTable(NamedTuple):
@@ -101,9 +101,9 @@ class ColorTable(NamedTuple):
 
     color: Callable[[int, int, int, int, int], Heights]
 
-    def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, None]:
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
         """See ``Table``."""
-        return self.color(level, row0, row1, col0, col1), None
+        return self.color(level, row0, row1, col0, col1)
 
 
 def patch_colors(
@@ -210,7 +210,7 @@ def octave_window(terrain: Terrain, table: Table, k: int, begin: Shape, end: Sha
     level = min(k, terrain.levels - 1)
     s = k - level
     spans = [(a << s, ((b - 1) << s) + 1) for a, b in zip(begin, end, strict=True)]
-    errors, _ = table.read(level, *spans[0], *spans[1])
+    errors = table.values(level, *spans[0], *spans[1])
     return errors[:: 1 << s, :: 1 << s]
 
 

@@ -275,7 +275,7 @@ def _put_samples(block, lines, size, step, scale, out):
     (rows, cols), (origin, factor) = out.shape, scale
     period = period_of(cols)
     for k in range(0, BLOCK, LANES32):
-        transpose32(block, k * LANES32, lines, k, BLOCK)
+        transpose32(block, k * LANES32, LANES32, lines, k, BLOCK)
     for i in range(LANES32):
         since, k = step - LAG * i, max(LAG * i - step, 0)
         while k < size:  # (a block may contain the end of one row and the beginning of another)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from orograph._lanes import LANES32
+from orograph._lanes32 import transpose32
 from orograph._numba import kernel, linked
 from orograph.store.codec_fit import rounded_weights
 from orograph.store.codec_head import (
@@ -21,7 +22,8 @@ from orograph.store.codec_head import (
 from orograph.store.codec_write import (
     based,
     decided_tables,
-    symbol_of,
+    put_codes,
+    with_stream,
     write_mask,
     write_stream,
     write_tables,
@@ -54,7 +56,6 @@ from orograph.store.smallest_rows import (
 )
 
 WHOLE_GROUPS, NESTED_GROUPS = 24, 12
-CELLS = CLASSES * GROUPS * BINS
 RARE, COARSE = 6, 4  # as in *compact*, where they are 8 and 5: here shorter tables outweigh the loss
 
 
@@ -68,16 +69,15 @@ def _merged(counts, lengths, left, final):
     """
     costs, joint, into = np.zeros(left), np.zeros((left, left)), np.arange(left)
     for k in range(left):
-        costs[k] = cost_of(counts[k, : lengths[k]], counts[k], 0)
+        costs[k] = cost_of(counts, k, k, lengths[k], 0)
         for m in range(k):
-            joint[k, m] = cost_of(counts[k, : max(lengths[k], lengths[m])], counts[m], 1) - costs[k] - costs[m]
+            joint[k, m] = cost_of(counts, k, m, max(lengths[k], lengths[m]), 1) - costs[k] - costs[m]
     while True:
         one, other, best = 0, 0, 0.0
         for k in range(left):
-            row = joint[k, :k]
             for m in range(k):
-                if row[m] < best:
-                    one, other, best = k, m, row[m]
+                if joint[k, m] < best:
+                    one, other, best = k, m, joint[k, m]
         if one == other:
             break
         counts[other] += counts[one]
@@ -86,7 +86,7 @@ def _merged(counts, lengths, left, final):
         into[one], joint[one], joint[:, one] = other, 0.0, 0.0
         for k in range(left):
             if into[k] == k and k != other:
-                change = cost_of(counts[k, : max(lengths[k], lengths[other])], counts[other], 1)
+                change = cost_of(counts, k, other, max(lengths[k], lengths[other]), 1)
                 joint[max(k, other), min(k, other)] = change - costs[k] - costs[other]
     number = 0
     for k in range(left):
@@ -99,30 +99,32 @@ def _merged(counts, lengths, left, final):
 
 
 @kernel
-def _counted(values, cells, most, merged):
+def _counted(values, cells, classes, most, merged):
     """Divide groups of activity into at most ``most``, and count the values of cells.
 
     Args:
         values, cells: from ``look``; ``cells`` become (class · ``BINS`` + bin) · groups + group.
+        classes: how many there are. most: how many groups at most.
         merged: (GROUPS,), becomes the group that each belongs to.
 
     Returns:
         how often each cell has each token.
     """
-    parts, found = np.zeros((4, CELLS), np.int64), np.empty(CELLS, np.int32)
-    flat, largest = parts.reshape(4 * CELLS), np.uint32(0)
+    number, largest = classes * GROUPS * BINS, np.uint32(0)
+    parts, found = np.zeros((4, number), np.int64), np.empty(number, np.int32)
+    flat = parts.reshape(4 * number)
     for k in range(cells.size):  # (in four parts, for neighbours mostly have the same cell)
-        flat[np.uint64((k & 3) * CELLS + cells[k])] += 1
+        flat[np.uint64((k & 3) * number + cells[k])] += 1
         largest = max(largest, values[k])
     sizes = np.zeros(GROUPS, np.int64)
-    for cell in range(CELLS):
+    for cell in range(number):
         sizes[cell // BINS % GROUPS] += parts[:, cell].sum()
     groups = grouped(sizes, merged, most)
-    for cell in range(CELLS):
+    for cell in range(number):
         kind = cell // (GROUPS * BINS) * BINS + cell % BINS
         found[cell] = kind * groups + merged[cell // BINS % GROUPS]
     longest = token(np.int64(largest)) + 1
-    counts = np.zeros((CLASSES * BINS * groups, longest), np.int64)
+    counts = np.zeros((classes * BINS * groups, longest), np.int64)
     every = counts.reshape(counts.size)
     for k in range(values.size):
         cell = found[np.uint64(cells[k])]
@@ -132,18 +134,18 @@ def _counted(values, cells, most, merged):
 
 
 @linked
-def _divided(values, cells, most, places):
+def _divided(values, cells, classes, most, places):
     """Choose the tables of all cells; return their number.
 
     Args:
         values, cells: of the samples that are coded, from ``look``; ``cells`` become tables.
-        most: the largest number of groups to distinguish.
-        places: (CLASSES, GROUPS, BINS) int64, become tables, -1 where there are no samples.
+        classes, most: the number of classes, and the largest number of groups to distinguish.
+        places: (classes, GROUPS, BINS) int64, become tables, -1 where there are no samples.
     """
     merged = np.empty(GROUPS, np.int64)
-    counts = _counted(values, cells, most, merged)
+    counts = _counted(values, cells, classes, most, merged)
     count, filled = counts.shape[0], 0
-    groups, table, lengths = count // (CLASSES * BINS), np.full(count, -1, np.int64), np.zeros(count, np.int64)
+    groups, table, lengths = count // (classes * BINS), np.full(count, -1, np.int64), np.zeros(count, np.int64)
     for cell in range(count):  # (counts move up: those that hold anything come first)
         length = counts.shape[1]
         while length > 0 and counts[cell, length - 1] == 0:
@@ -165,7 +167,7 @@ def _divided(values, cells, most, places):
     for cell in range(count):
         if table[cell] >= 0:
             table[cell] = chain[table[cell]]
-    for kind in range(CLASSES * BINS):
+    for kind in range(classes * BINS):
         for group in range(GROUPS):
             places[kind // BINS, group, kind % BINS] = table[kind * groups + merged[group]]
     for k in range(cells.size):
@@ -191,28 +193,39 @@ def _write_map(out, at, places):
     return (bit + 7) >> 3
 
 
-@kernel
-def _in_steps(values, tables, depths, direct, lines):
-    """Values and codes (a table's number times ``SYMBOLS``, plus the symbol) in the order of steps, flat, sixteen in
-    each, -1 where a lane has nothing; and of each step whether it has ranges."""
-    rows, cols = lines.shape
-    steps, n, every, marks = steps_of(rows, cols), 0, 2 if lines.split else 1, lines.marks
-    ordered, codes = np.zeros(steps * LANES32, np.uint32), np.full(steps * LANES32, -1, np.int32)
-    ranges = np.zeros(steps, np.bool_)
+@linked
+def _of_lanes(lines, found, none):
+    """Numbers of all samples in the order of steps, lane by lane, flat.
+
+    Args:
+        found: the numbers in the order of ``look``. none: stands where a lane has nothing.
+    """
+    (rows, cols), n, every, marks = lines.shape, 0, 2 if lines.split else 1, lines.marks
+    out = np.full((LANES32, -(-steps_of(rows, cols) // LANES32) * LANES32), none, np.int32)
     for row in range(rows):
         begin, (first, end) = begin_of(row, cols), parities_of(lines, row)
-        at = begin * LANES32 + row % LANES32
+        own = out[row % LANES32, begin : begin + cols]
+        if every == 1 and marks.size == 0:
+            own[:] = found[n : n + cols]
+            n += cols
+            continue
         for parity in range(first, end):
             for col in range(parity, cols, every):
-                if marks.size and marks[row, col]:
-                    continue
-                here, c, value = np.uint64(at + col * LANES32), np.uint64(tables[np.uint64(n)]), values[np.uint64(n)]
-                symbol = symbol_of(np.int64(value) >> depths[c], direct[c])
-                if symbol >= direct[c]:
-                    ranges[np.uint64(begin + col)] = True
-                ordered[here], codes[here] = value, np.int64(c) * SYMBOLS + symbol
-                n += 1
-    return ordered, codes, ranges
+                if not (marks.size and marks[row, col]):
+                    own[np.uint64(col)] = found[np.uint64(n)]
+                    n += 1
+    return out.reshape(out.size)
+
+
+@kernel
+def _write_stream(lines, values, codes, depths, direct, found, words, states):
+    """As ``write_stream``, from values and codes in the order of ``look``."""
+    own, lanes = _of_lanes(lines, values, 0), _of_lanes(lines, codes, depths.size * SYMBOLS)
+    every, steps = own.size // LANES32, np.empty(own.size, np.int32)
+    for step in range(0, every, LANES32):
+        transpose32(lanes, step, every, steps, step * LANES32, LANES32)
+    offsets = (np.arange(LANES32) * every).astype(np.int32)
+    return write_stream(own, offsets, 1, steps, depths, direct, found, words, states)
 
 
 @linked
@@ -285,37 +298,28 @@ def encode(numbers, classes):
     given, held = np.zeros((CHOICES, NEIGHBOURS), np.int64), np.zeros((CHOICES, SIGNS), np.int64)
     limits = np.zeros(TESTS, np.int32)
     rules, sets = _fitted(lines, classes, limits, given, held)
-    signed, kinds = np.empty(numbers.size + LANES32, np.int32), np.empty(numbers.size + LANES32, np.int32)
-    used = look(lines, rules, signed, kinds)
-    values, kinds = signed.view(np.uint32)[:used], kinds[:used]
-    places = np.empty((CLASSES, GROUPS, BINS), np.int64)
-    number = _divided(values, kinds, WHOLE_GROUPS if classes == 1 else NESTED_GROUPS, places)
+    signed, placed = np.empty(numbers.size + LANES32, np.int32), np.empty(numbers.size + LANES32, np.int32)
+    used = look(lines, rules, signed, placed)
+    values, kinds = signed.view(np.uint32)[:used], placed[:used]
+    places, most = np.empty((classes, GROUPS, BINS), np.int64), WHOLE_GROUPS if classes == 1 else NESTED_GROUPS
+    number = _divided(values, kinds, classes, most, places)
     depths, direct = np.zeros(number, np.int64), np.zeros(number, np.int64)
     codes, found = np.zeros((number, SYMBOLS), np.int64), np.zeros((number, SYMBOLS), np.int64)
     sizes = decided_tables(values, kinds, number, RARE, COARSE, depths, direct, found, codes)
-    words, states = np.empty(WORDS * used + 1, np.uint16), np.empty(LANES32, np.int64)
-    ordered, steps, ranges = _in_steps(values, kinds, depths, direct, lines)
-    p = write_stream(ordered, steps, ranges, depths, direct, found, words, states)
+    words, states = np.empty(WORDS * used + LANES32, np.uint16), np.empty(LANES32, np.int32)
+    placed[used:] = 0
+    put_codes(signed[: used + LANES32 - 1], placed, depths, direct)
+    p = _write_stream(lines, signed, placed, depths, direct, found, words, states)
     most = HEADER + CHOICES * SET + CLASSES * GROUPS * BINS + SETS * (4 + 8 * SYMBOLS)
     head = np.zeros(most + (2 * numbers.size + 16 if missing else 0), np.uint8)
     head[0], head[2], head[3] = VERSION, sets, number
     write_u32(head, 4, origin)
     write_u32(head, 8, factor)
     at = _write_sets(head, HEADER, skipped, sets, limits, given, held)
-    at = _write_map(head, at, places[skipped:classes])
+    at = _write_map(head, at, places[skipped:])
     at = write_tables(head, at, number, depths, direct, sizes, codes)
     if missing:
         one, two = write_mask(numbers, 1, head, at), write_mask(numbers, 2, head, at)
         head[1] = 1 if one <= two else 2
         at = write_mask(numbers, head[1], head, at)
-    lanes = min(rows, LANES32)
-    out = np.empty(at + 4 * lanes + 2 * (words.size - p), np.uint8)
-    for k in range(at):
-        out[k] = head[k]
-    for k in range(lanes):
-        write_u32(out, at, states[k])
-        at += 4
-    for k in range(words.size - p):
-        out[at + 2 * k] = np.uint8(words[p + k] & 255)
-        out[at + 2 * k + 1] = np.uint8(words[p + k] >> 8)
-    return out
+    return with_stream(head, at, states[: min(rows, LANES32)], words[p:])

@@ -16,10 +16,10 @@ from orograph.store.codec_fit import (
     AROUND,
     FOUR,
     add_products,
-    cleared,
     plane,
     put_shares,
     put_surroundings,
+    room_of,
     sums_of,
     totals,
     weights_of,
@@ -52,9 +52,17 @@ TERMS = -(-(SIGNS + 2) // FOUR) * FOUR  # the signs, a constant, the size of the
 
 @linked
 def _blocks_of(blocks, count, samples):
-    """Room for ``count`` features in blocks of so many samples: (blocks, count, samples) float64, zeros."""
+    """Room for ``count`` features in blocks of so many samples, in whole lanes: (blocks, count, samples) float64, not
+    cleared."""
     width = -(-max(samples, 1) // LANES) * LANES
-    return cleared(blocks * count * width).reshape(blocks, count, width)
+    return room_of(blocks * count * width).reshape(blocks, count, width)
+
+
+@linked
+def _divided_blocks(samples):
+    """How many blocks of how many samples, in whole lanes, hold so many: at most ``WIDE`` in each, evenly."""
+    blocks = -(-samples // WIDE)
+    return blocks, -(-samples // (max(blocks, 1) * LANES)) * LANES
 
 
 @linked
@@ -68,14 +76,16 @@ def _surroundings(lines, row0, parity, step):
     rows, skip = range(row0, lines.shape[0], step), 1 if lines.split else 2
     ww, w, own, e, ee = places_of(lines, parity)
     at, pitch = (ww + skip, w + skip, own + skip, e + skip, ee + skip), lines.pitch
-    every = 2 if lines.split else 1  # (samples less than two from an end do not count)
+    every, marks = 2 if lines.split else 1, lines.marks  # (samples less than two from an end do not count)
+    begin, end = parity + every * skip, lines.shape[1] - 2
+    n = len(range(begin, end, every))
     features = _blocks_of(len(rows), AROUND, count_of(lines, parity) - skip)
     counted = np.zeros((features.shape[0], features.shape[2]), np.int32)
+    features[:, :, n:] = 0.0
     for block in range(len(rows)):
-        row, n = row0 + block * step, 0
-        for col in range(parity + every * skip, lines.shape[1] - 2, every):
-            counted[block, n] = not (lines.marks.size and lines.marks[row, col])
-            n += 1
+        row = row0 + block * step
+        for i in range(n):
+            counted[block, i] = not (marks.size and marks[row, begin + i * every])
         around = lines.samples[row * pitch : (row + 3) * pitch].reshape(3, pitch)
         put_surroundings(around[0], around[1], around[2], at, n, features[block])
     return features, counted
@@ -105,7 +115,7 @@ def _fit(features, counted, others, ridge, steps, weights):
         weights: of an earlier round, and whether there are any; become new.
     """
     width = features.shape[2]
-    shares, off, scratch = np.empty(width), np.empty(width), np.empty(width)
+    shares, off, scratch = np.empty(width), np.empty(width), np.empty(2 * width)
     for step in steps:
         used, sums = 0, sums_of(AROUND)
         for block in range(features.shape[0]):
@@ -186,21 +196,24 @@ def _divided(features, counted, limits):
                 which[block, i] += np.int64(abs(own[i]) > limit) << k
     begins = parted(which.reshape(count), count, CHOICES, order)
     places, flat, flags = np.empty(count, np.int64), features.reshape(features.size), counted.reshape(count)
-    for i in range(count):  # (where their first feature is)
-        places[i] = order[i] // width * (AROUND * width) + order[i] % width
-    parts = [_blocks_of(-(-(begins[k + 1] - begins[k]) // WIDE), AROUND, WIDE) for k in range(CHOICES)]
-    marks = [np.zeros((parts[k].shape[0], WIDE), np.int32) for k in range(CHOICES)]
+    for block in range(blocks):  # (where the first feature of each sample is)
+        for i in range(width):
+            places[block * width + i] = block * AROUND * width + i
+    sizes = [_divided_blocks(begins[k + 1] - begins[k]) for k in range(CHOICES)]
+    parts = [_blocks_of(sizes[k][0], AROUND, sizes[k][1]) for k in range(CHOICES)]
+    marks = [np.zeros(sizes[k], np.int32) for k in range(CHOICES)]
     for k in range(CHOICES):
-        for block in range(parts[k].shape[0]):
-            begin = begins[k] + block * WIDE
-            end = min(begin + WIDE, begins[k + 1])
-            some, own, mark = places[begin:end], order[begin:end], marks[k][block]
+        for block in range(sizes[k][0]):
+            begin = begins[k] + block * sizes[k][1]
+            end = min(begin + sizes[k][1], begins[k + 1])
+            some, own, mark = np.empty(end - begin, np.int64), order[begin:end], marks[k][block]
+            for i in range(own.size):
+                some[i], mark[i] = places[np.uint64(own[i])], flags[np.uint64(own[i])]
             for m in range(AROUND):
                 target, offset = parts[k][block, m], m * width
                 for i in range(some.size):
                     target[i] = flat[np.uint64(some[i] + offset)]
-            for i in range(own.size):
-                mark[i] = flags[np.uint64(own[i])]
+                target[some.size :] = 0.0
     return parts, marks
 
 
@@ -259,15 +272,15 @@ def _note_signs(lines, row, parity, begin, noted, which):
     int32, from ``begin`` on; likewise their sets, or -1 where they are missing. Return where they end."""
     rows, at, count = rows_of(lines, row), places_of(lines, parity), count_of(lines, parity)
     here, width, every = parity * (lines.pitch // 2), noted.shape[1], 2 if lines.split else 1
-    flat = noted.reshape(noted.size)
+    flat, marks, entries = noted.reshape(noted.size), lines.marks, lines.entries
     for t in range(0, count, LANES32):
         signs = signs_of(lines, rows, at, load32(lines.sums, here + t), t)
         for k in range(SIGNS):
             store32(flat, k * width + begin + t, signs[k])
         store32(flat, SIGNS * width + begin + t, load32(lines.sizes, rows[5] + at[2] + t))
     for i in range(count):
-        missing = lines.marks.size and lines.marks[row, parity + every * i]
-        which[begin + i] = -1 if missing else lines.entries[here + i]
+        missing = marks.size and marks[row, parity + every * i]
+        which[begin + i] = -1 if missing else entries[here + i]
     return begin + count
 
 
@@ -291,9 +304,11 @@ def _noted(lines, rules):
 @linked
 def _signs_of(noted, own):
     """The features of shares, in blocks: signs, a constant and the sizes of residuals, of some samples."""
-    features = _blocks_of(-(-own.size // WIDE), TERMS, WIDE)
-    for block in range(features.shape[0]):
-        some = own[block * WIDE : (block + 1) * WIDE]
+    blocks, wide = _divided_blocks(own.size)
+    features = _blocks_of(blocks, TERMS, wide)
+    features[:, SIGNS + 2 :], features[blocks - 1 :] = 0.0, 0.0
+    for block in range(blocks):
+        some = own[block * wide : (block + 1) * wide]
         for k in range(SIGNS + 1):
             to, source = features[block, k if k < SIGNS else SIGNS + 1], noted[k]
             for i in range(some.size):
@@ -306,14 +321,15 @@ def _signs_of(noted, own):
 def _products(features, expected):
     """The sums of all products of a set's features. What is expected to be large must not outvote what is expected to
     be small. Args: expected: (SIGNS + 1,), the share of each sign in the size of a residual, and a constant."""
-    weighed, scratch, sums = np.empty(WIDE), np.empty(WIDE), sums_of(TERMS)
+    wide = features.shape[2]
+    weighed, scratch, sums = np.empty(wide), np.empty(2 * wide), sums_of(TERMS)
     for block in range(features.shape[0]):
         weighed[:] = LEAST_SIZE + expected[SIGNS]
         for k in range(SIGNS):
             signs, each = features[block, k], expected[k]
-            for i in range(WIDE if each > 0.0 else 0):
+            for i in range(wide if each > 0.0 else 0):
                 weighed[i] += each * signs[i]
-        for i in range(WIDE):  # (the constant is 0 where there is no sample)
+        for i in range(wide):  # (the constant is 0 where there is no sample)
             weighed[i] = features[block, SIGNS, i] / (weighed[i] * weighed[i])
         add_products(features[block], weighed, scratch, sums)
     return totals(sums, TERMS)
@@ -352,12 +368,11 @@ def _solve_shares(matrix, found):
     for _ in range(SWEEPS):
         most = 0.0
         for k in range(SIGNS + 1):
-            own = matrix[k]
-            change = max(off[k] / (own[k] + 1e-3), -found[k])
+            change = max(off[k] / (matrix[k, k] + 1e-3), -found[k])
             if change != 0.0:
                 found[k] += change
                 most = max(most, abs(change))
                 for m in range(off.size):
-                    off[m] -= change * own[m]
+                    off[m] -= change * matrix[k, m]
         if most < CLOSE:
             break

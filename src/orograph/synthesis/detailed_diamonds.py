@@ -55,10 +55,14 @@ class DiamondsOfData:
 
     def __init__(self, terrain: Terrain, data: Terrain, doublings: int, **options: Any) -> None:
         table: DiamondTable = data.derived("diamonds", **options)
-        one, two = ((lambda *window, k=k: table.read(*window)[k]) for k in (0, 1))
-        self._errors, self._radii = (Shifted(terrain, data, doublings, read, 0, 0.0) for read in (one, two))
+        reads = table.values, lambda *window: table.read(*window)[1]
+        self._errors, self._radii = (Shifted(terrain, data, doublings, read, 0, 0.0) for read in reads)
 
     def read(self, level: int, row0: int, row1: int, col0: int, col1: int) -> tuple[Heights, Heights]:
         """See ``DiamondTable.read``."""
         window = level, row0, row1, col0, col1
         return self._errors.read(*window), self._radii.read(*window)
+
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """See ``DiamondTable.values``."""
+        return self._errors.read(level, row0, row1, col0, col1)

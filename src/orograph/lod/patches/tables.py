@@ -23,6 +23,10 @@ class PatchDiamonds(NamedTuple):
         window = level, row0, row1, col0, col1
         return self.errors.read(*window), self.diamonds.read(*window)[1]
 
+    def values(self, level: int, row0: int, row1: int, col0: int, col1: int) -> Heights:
+        """See ``DiamondTable.values``."""
+        return self.errors.read(level, row0, row1, col0, col1)
+
 
 class PatchTerrain:
     """A terrain whose diamonds are patch diamonds: what ``lod.field`` makes pages of.
