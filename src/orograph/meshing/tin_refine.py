@@ -100,19 +100,18 @@ def refine_to(m, heights, w, level, limit, surface, stack):
         if w.error[t] <= level:
             continue
         x, y = np.int64(w.x[t]), np.int64(w.y[t])
-        if surface:
-            if not is_free(m, x, y):  # a sample beyond the triangle that was inserted since
-                assess(m, heights, w, t, limit, surface)
-                count = push(w, t, level, count)
-                continue
-            t = locate(m, t, x, y)
-        first = m.out[insert(m, t, x, y, np.float64(heights[y, x]), stack)]
+        first = 3 * t
+        free = not surface or is_free(m, x, y)  # if not, a sample beyond the triangle was inserted since
+        if free:
+            if surface:
+                t = locate(m, t, x, y)
+            first = int(m.out[insert(m, t, x, y, np.float64(heights[y, x]), stack)])
         h = first
         while True:
             assess(m, heights, w, h // 3, limit, surface)
             count = push(w, h // 3, level, count)
-            h = m.twin[before(h)]
-            if h == first:
+            h = int(m.twin[before(h)])
+            if h == first or not free:
                 break
 
 

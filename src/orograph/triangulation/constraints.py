@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orograph._numba import kernel, leaf
+from orograph._numba import leaf, linked
 from orograph.triangulation.mesh import TRIANGLES, after, before, flip, turn_of
 
 
@@ -61,7 +61,7 @@ def first_crossed(m, a, b):
     return -1
 
 
-@kernel
+@linked
 def fix_edge(m, a, b):
     """Make a–b an edge and fix it; no vertex may lie between. Returns False if another fixed edge is in the way."""
     h = edge_between(m, a, b)
@@ -89,7 +89,7 @@ def fix_edge(m, a, b):
     return True
 
 
-@kernel
+@linked
 def force_edge(m, a, b, crossed, count):
     """Flip the edges that cross a–b until none does (Sloan 1993, §3)."""
     head, room = 0, len(crossed)
