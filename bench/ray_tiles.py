@@ -16,9 +16,6 @@ pass between two tiles, and edges).
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +37,7 @@ from orograph.rendering.gpu.targets import MARKS, NEARER, Targets, cleared
 from orograph.scene.scene import Scene
 from orograph.store.terrain import TILE, Terrain
 from orograph.viewpoint import View
+from rays import asked, timed
 from view import FLIGHTS, terrain_of
 
 TILES = np.dtype(
@@ -54,7 +52,7 @@ Place = tuple[int, int]
 
 def tiles_of(terrain: Terrain, view: View, windows: CastWindows) -> NDArray[np.void]:
     """The tiles of windows that are in view, nearest first; where a finer window lies in one, what is around it."""
-    found = []
+    found, (rows, cols) = [], terrain.grid.shape
     for number, window in enumerate(windows.windows):
         table, level = terrain.tiles(window.level), window.level
         inner = None
@@ -65,7 +63,8 @@ def tiles_of(terrain: Terrain, view: View, windows: CastWindows) -> NDArray[np.v
         for row in range(window.row0, window.row1 - 1, TILE):
             for col in range(window.col0, window.col1 - 1, TILE):
                 first = col << level, row << level
-                last = min(col + TILE, window.col1 - 1) << level, min(row + TILE, window.row1 - 1) << level
+                ends = min(col + TILE, window.col1 - 1) << level, min(row + TILE, window.row1 - 1) << level
+                last = min(ends[0], cols - 1), min(ends[1], rows - 1)  # (levels may reach beyond the raster)
                 low, high = (float(part[row // TILE, col // TILE]) for part in (table.minimum, table.maximum))
                 if np.isfinite(high):
                     found += [(*part, low, high, number, 0) for part in around(first, last, inner)]
@@ -131,27 +130,9 @@ class TilePass:
         pass_.end()
 
 
-def timed(device: Device, draw: Callable[[Any], None]) -> tuple[float, float]:
-    """Milliseconds of a draw: by the clock, and of the processors."""
-    begun, worked = time.perf_counter(), time.process_time()
-    encoder = device.handle.create_command_encoder()
-    draw(encoder)
-    device.queue.submit([encoder.finish()])
-    device.wait()
-    return (time.perf_counter() - begun) * 1e3, (time.process_time() - worked) * 1e3
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--terrain", nargs="+", default=["california"])
-    parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
-    parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
-    parser.add_argument("--tolerance", type=float, default=2.0)
-    parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--views", type=int, default=2, help="of each flight")
-    parser.add_argument("--times", type=int, default=8)
-    options = parser.parse_args()
-    width, height = (int(v) for v in options.size.split("x"))
+    options = asked(__doc__, views=2, times=8)
+    width, height = options.size
     terrain, device = terrain_of(options.terrain, options), open_device()
     renderer, targets = Renderer(device, terrain), Targets(device, width, height)
     ground, camera = renderer._ground, renderer._camera

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,27 +32,34 @@ from orograph.scene.scene import Scene
 from view import FLIGHTS, terrain_of
 
 
-def drawn(device: Device, ground: Any, targets: Targets, chosen: Any) -> tuple[float, float]:
-    """Milliseconds to draw the ground alone: by the clock, and of the processors."""
+def timed(device: Device, draw: Callable[[Any], None]) -> tuple[float, float]:
+    """Milliseconds of what a function records with an encoder: by the clock, and of the processors."""
     begun, worked = time.perf_counter(), time.process_time()
     encoder = device.handle.create_command_encoder()
-    ground.draw(encoder, targets, chosen)
+    draw(encoder)
     device.queue.submit([encoder.finish()])
     device.wait()
     return (time.perf_counter() - begun) * 1e3, (time.process_time() - worked) * 1e3
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def asked(description: str | None, views: int, times: int) -> argparse.Namespace:
+    """What the command line asks for. Args: views, times: the defaults."""
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--terrain", nargs="+", default=["california"])
     parser.add_argument("--data", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
     parser.add_argument("--folder", type=Path, help="where synthetic stores are kept; default: the cache")
     parser.add_argument("--tolerance", type=float, default=2.0)
     parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--views", type=int, default=3, help="of each flight")
-    parser.add_argument("--times", type=int, default=12)
+    parser.add_argument("--views", type=int, default=views, help="of each flight")
+    parser.add_argument("--times", type=int, default=times)
     options = parser.parse_args()
-    width, height = (int(v) for v in options.size.split("x"))
+    options.size = tuple(int(v) for v in options.size.split("x"))
+    return options
+
+
+def main() -> None:
+    options = asked(__doc__, views=3, times=12)
+    width, height = options.size
     terrain, device = terrain_of(options.terrain, options), open_device()
     renderer, targets = Renderer(device, terrain), Targets(device, width, height)
     ground, camera = renderer._ground, renderer._camera
@@ -74,7 +82,7 @@ def main() -> None:
             took: dict[str, list[tuple[float, float]]] = {method: [] for method in ways}
             for k in range(options.times + 1):
                 for method, chosen in ways.items():
-                    ms = drawn(device, ground, targets, chosen)
+                    ms = timed(device, lambda encoder, chosen=chosen: ground.draw(encoder, targets, chosen))
                     took[method] += [ms] if k else []  # the first compiles the kernels
             windows, by_rays = rays.rays.windows, hybrid.selection.cast.by_rays
             least = {method: np.min(times, 0) for method, times in took.items()}

@@ -199,7 +199,7 @@ def test_a_person_explores_a_cell(page):
         small, shown_height = rested(page), round(page.locator(VIEW).bounding_box()["height"])
         if small["height"] == shown_height < 400:
             break
-        if k % 10 == 9:  # rendercanvas's page does not always tell the last size, but the next one
+        if k % 10 == 9:  # (rendercanvas may not report the last size of a drag; it reports the next one)
             drag_handle(page, -4, -4)
     assert small["height"] == shown_height < 400
 

@@ -52,7 +52,8 @@ def conservative_option(function: F) -> F:
     return click.option(
         "--conservative",
         is_flag=True,
-        help="Promise the tolerance for every sample in view: set the method's options so, or refuse it.",
+        help="Keep the tolerance for every sample in view: sets the options with which the method promises it, or "
+        "refuses the method.",
     )(function)
 
 

@@ -60,7 +60,7 @@ def methods(name: str | None = None) -> Said:
 
 def _rows(infos: Sequence[MethodInfo]) -> list[tuple[str, ...]]:
     head = ("method", "the idea", "selects", "promise", "source")
-    return [head, *((i.name, i.title, i.kind, _promises(i), i.paper) for i in infos)]
+    return [head, *((i.name, i.title, i.kind, _promise(i), i.paper) for i in infos)]
 
 
 def _options(info: MethodInfo) -> list[tuple[str, ...]]:
@@ -83,7 +83,8 @@ def about(name: str) -> str:
     """
     info = method_of(name).info
     lines = [
-        f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.", _promise(info),
+        f"{info.name}: {info.title}.", f"Source: {info.paper}.", f"It selects {KINDS[info.kind]}.",
+        _promise_in_words(info),
         *([] if info.conforming else ["Its meshes may have cracks."]),
         "It continues from the previous frame." if info.incremental else "Every frame starts from scratch.",
         f"Possible goals: {', '.join(info.goals)}.",
@@ -109,7 +110,7 @@ def markdown() -> str:
         rows.append(
             f"| [`{info.name}`]({info.name}.md) | {info.title} | {info.kind} | "
             f"{'goes on' if info.incremental else 'begins anew'} | "
-            f"{_promises(info)} | {info.paper} |"
+            f"{_promise(info)} | {info.paper} |"
         )
     return "\n".join(rows)
 
@@ -119,21 +120,18 @@ def _infos() -> list[MethodInfo]:
 
 
 def _promise(info: MethodInfo) -> str:
-    if info.conservative(info.options()):
-        return "With the default options the tolerance is promised for every sample in view."
-    how = f"; with {_promising(info)} it is" if info.promising else ""
-    return f"With the default options the tolerance is not promised{how}."
-
-
-def _promises(info: MethodInfo) -> str:
     """Whether a method promises its tolerance, for a table."""
     if info.conservative(info.options()):
         return "yes"
-    return f"with {_promising(info)}" if info.promising else "no"
+    options = ",".join(f"{key}={value}" for key, value in info.promising.items())
+    return f"with {options}" if options else "no"
 
 
-def _promising(info: MethodInfo) -> str:
-    return ",".join(f"{key}={value}" for key, value in info.promising.items())
+def _promise_in_words(info: MethodInfo) -> str:
+    promise = _promise(info)
+    if promise == "yes":
+        return "With the default options the tolerance is promised for every sample in view."
+    return f"With the default options the tolerance is not promised{'' if promise == 'no' else f'; {promise} it is'}."
 
 
 def _filled(text: str, indent: str = "    ") -> str:

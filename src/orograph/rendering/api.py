@@ -124,7 +124,8 @@ def render(
         size: (width, height) in pixels if no view is given; a view has its own size. Default 1280 × 720.
         backend: "cpu", or "gpu": the same picture drawn by a graphics processor (or, with a warning, by the CPU if
             there is none). Default "cpu".
-        conservative: promise the tolerance for every sample in view: set the ``method``'s options so, or refuse it.
+        conservative: keep the tolerance for every sample in view: sets the options with which the ``method`` promises
+            it, or refuses the method.
         each: several panels instead of one picture, all with one camera, one scale and one legend: "view" (a map beside
             the relief), "data" (one for each, with scales of their own), or "member", "band" or "time" of the first
             data, all or some: "member=1-6", "time=T12".

@@ -24,7 +24,8 @@ from orograph.store.codec_head import BITS, DEEPEST, DIRECT, LEAST, MISSING, STA
 from orograph.store.compact_contexts import length, log2
 
 FINE = 5  # bits of a mean value in symbols; those below are separate
-RANGE = 1 << 16  # marks the codes of ranges
+SYMBOL_BITS = SYMBOLS.bit_length() - 1  # of a code; those above are the table's number
+RANGE = 1 << 16  # marks the codes of ranges: all others are below, for a chunk has fewer than 256 tables
 CODES, LN2 = 48, 0.6931471805599453  # of frequencies; the natural logarithm of 2
 WEIGHT = np.array([code if code < 8 else (4 + code % 4) << (code // 4 - 1) for code in range(CODES)], np.float64)
 SURPRISE = np.array([1e9] + [float(BITS) - log2(weight) for weight in WEIGHT[1:]])  # bits of a symbol, by its code
@@ -319,7 +320,7 @@ def write_stream(values, offsets, apart, codes, depths, direct, found, words, st
         ranged = code >= RANGE
         if deep or some(ranged):
             code = code & (RANGE - 1)
-            value, table = gather32(values, lanes + step * apart), shifted_right(code, 8)
+            value, table = gather32(values, lanes + step * apart), shifted_right(code, SYMBOL_BITS)
             depth = gather32(below, table)
             if deep:
                 now, p = _push_plain(now, p, words, depth, value & ((spread32(1) << depth) - 1))

@@ -84,7 +84,8 @@ def tessellate(
         method: the method that makes the triangles: NAME[,key=value…] (``orograph.methods()``).
         tolerance: how far the mesh may be off on the screen, pixels; None: 1, unless another goal is given.
         triangles: instead: the maximum number of triangles. seconds: instead: the best mesh that this time allows.
-        conservative: promise the tolerance for every sample in view: set the method's options so, or refuse it.
+        conservative: keep the tolerance for every sample in view: sets the options with which the method promises
+            it, or refuses the method.
         drape: the image whose colours a method's color-tolerance looks at; None: the tint of heights.
         exaggeration: how heights are stretched on the screen. size: (width, height) if no view is given.
         check: let the referee measure the mesh against every sample in view; its report is ``stats["report"]``.
