@@ -56,9 +56,14 @@ def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     assert window.gui.typing
     for digit in "123":
         hand.event("char", data=digit)
-    hand.key("Enter")
+    hand.key("Tab")  # to the next field
     hand.frames(4)
     assert window.session.settings.sun.azimuth == 123.0
+    for digit in "30":
+        hand.event("char", data=digit)
+    hand.key("Enter")
+    hand.frames(4)
+    assert window.session.settings.sun.altitude == 30.0 and window.session.settings.panels
 
 
 @pytest.mark.stress

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import base64
 import io
 import sys
@@ -13,6 +14,7 @@ from PIL import Image
 
 import orograph
 from orograph.store.prepare import prepare
+from orograph.viewer.cell import make_canvas
 from orograph.viewer.notebook import Still
 
 pytest.importorskip("imgui_bundle")
@@ -133,6 +135,24 @@ def test_cells_share_a_camera(terrain, device, front_end):
     for widget in (a, b):
         widget.close()
         widget.window.gui.close()
+
+
+def test_a_closed_canvas_tells_itself_nothing_more(monkeypatch):
+    pytest.importorskip("anywidget")
+
+    async def messages() -> list[dict]:
+        canvas, told = make_canvas((40, 30)), []
+        handle = type(canvas)._rfb_handle_msg
+        monkeypatch.setattr(
+            type(canvas), "_rfb_handle_msg", lambda self, w, said, more: (told.append(said), handle(self, w, said, more))
+        )
+        canvas.close()
+        for _ in range(50):
+            await asyncio.sleep(0)
+        assert canvas.get_closed()
+        return told
+
+    assert asyncio.run(messages()) == [{"type": "close"}]
 
 
 def test_a_cell_goes_on_with_a_store_that_was_replaced(terrain, device, front_end, tmp_path, monkeypatch):

@@ -303,6 +303,25 @@ def test_panels_that_are_hidden_from_the_first_leave_the_picture_alone_and_dock_
     window.gui.close()
 
 
+def test_tab_shows_panels_and_gives_no_field_the_keyboard(device, dem, own_config):
+    """ImGui takes a key a frame: Tab may come to it when the panels are there already."""
+    session = Session(prepare([str(dem)]), size=(640, 480), tolerance=4.0)
+    session.settings.panels = False
+    window = Window(session, RenderCanvas(size=(900, 600)), renderer_of(64 << 20), device=device)
+    hand = Hand(window)
+    hand.rest()
+    for _ in range(3):
+        for kind, held in (("key_down", ("Control",)), ("key_up", ())):
+            for name in ("Control", "c"):
+                hand.event(kind, key=name, modifiers=held)
+    hand.key("Tab")
+    hand.frames(20)
+    assert session.settings.panels
+    assert not window.gui.typing
+    window.canvas.close()
+    window.gui.close()
+
+
 def test_every_key_does_something_and_is_in_the_help(window, hand):
     said = dict(help_rows())
     for b in bindings():

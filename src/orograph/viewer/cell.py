@@ -90,6 +90,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
                 self._home = None
             self.pasted: Callable[[str], None] = lambda text: None
             self._sent = math.inf
+            self._closed = False
             super().__init__(**given)
 
         def _at_home(self, do: Callable[..., None], *arguments: Any) -> None:
@@ -104,6 +105,11 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
         def _rfb_send_frame(self, *arguments: Any, **options: Any) -> None:
             self._sent = time.monotonic()
             super()._rfb_send_frame(*arguments, **options)
+
+        def _rc_close(self) -> None:
+            if not self._closed:  # rendercanvas would tell itself without end that it is closed
+                self._closed = True
+                super()._rc_close()
 
         def _go_on(self) -> None:
             """Forget frames that were lost on the way; called when the page is known to be there."""

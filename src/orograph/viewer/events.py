@@ -72,7 +72,8 @@ class Events:
 
     def _on_key(self, event: dict[str, Any]) -> None:
         self.window.touch()
-        self.window.gui.key(event["key"], event["event_type"] == "key_down")
+        if event["key"] != "Tab":
+            self.window.gui.key(event["key"], event["event_type"] == "key_down")
         self._later.append(event)
         self.decide()
 
@@ -94,11 +95,13 @@ class Events:
 
     def _key(self, event: dict[str, Any]) -> None:
         key, modifiers = event["key"], event["modifiers"]
-        nav = self.window.session.nav
-        if event["event_type"] != "key_down":
+        nav, down, typing = self.window.session.nav, event["event_type"] == "key_down", self.window.gui.typing
+        if key == "Tab" and (typing or not down):  # else ImGui gives the keyboard to a field of the panels it shows
+            self.window.gui.key(key, down)
+        if not down:
             nav.key_up(key, modifiers)
             return
-        if self.window.gui.typing and key != "Escape":
+        if typing and key != "Escape":
             return
         control = "Control" in modifiers or "Meta" in modifiers
         name = key.lower() if len(key) == 1 else key

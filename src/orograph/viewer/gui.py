@@ -132,8 +132,10 @@ class Gui:
 
     @property
     def waiting(self) -> bool:
-        """Whether events wait for a frame."""
-        return bool(self._later)
+        """Whether events wait for a frame: here, or in ImGui, which takes one change of a key or button a frame."""
+        imgui.set_current_context(self.context)
+        context: Any = imgui.get_current_context()
+        return bool(self._later or len(context.input_events_queue))
 
     @property
     def undecided(self) -> bool:
@@ -202,7 +204,7 @@ class Gui:
         io.delta_time = max(seconds, 1e-4)
         imgui.new_frame()
         self._fresh_pointer = False
-        self._expecting -= bool(self._expecting and not self._later)
+        self._expecting -= bool(self._expecting and not self.waiting)
 
     def end(self) -> Any:
         """End the frame; returns its draw data."""
