@@ -7,14 +7,18 @@ import base64
 import io
 import sys
 import types
+from unittest import mock
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
 import orograph
 from orograph.store.prepare import prepare
-from orograph.viewer.cell import make_canvas
+from orograph.viewer import cell
+from orograph.viewer.cell import Ordered, make_canvas
 from orograph.viewer.notebook import Still
 
 pytest.importorskip("imgui_bundle")
@@ -143,9 +147,12 @@ def test_a_closed_canvas_tells_itself_nothing_more(monkeypatch):
     async def messages() -> list[dict]:
         canvas, told = make_canvas((40, 30)), []
         handle = type(canvas)._rfb_handle_msg
-        monkeypatch.setattr(
-            type(canvas), "_rfb_handle_msg", lambda self, w, said, more: (told.append(said), handle(self, w, said, more))
-        )
+
+        def heard(self, widget, content, buffers):
+            told.append(content)
+            handle(self, widget, content, buffers)
+
+        monkeypatch.setattr(type(canvas), "_rfb_handle_msg", heard)
         canvas.close()
         for _ in range(50):
             await asyncio.sleep(0)
@@ -153,6 +160,43 @@ def test_a_closed_canvas_tells_itself_nothing_more(monkeypatch):
         return told
 
     assert asyncio.run(messages()) == [{"type": "close"}]
+
+
+@given(st.lists(st.permutations(range(1, 9)), min_size=1, max_size=3), st.sets(st.integers(1, 8), max_size=3))
+def test_messages_of_a_page_come_in_its_order(orders, lost):
+    """Whatever overtakes what. After lost ones, later messages still come, in order."""
+
+    async def passed_on() -> list[tuple[int, int]]:
+        told: list[tuple[int, int]] = []
+        ordered = Ordered(asyncio.get_running_loop(), told.append)
+        for k in range(8):
+            for page, order in enumerate(orders):
+                if order[k] not in lost:
+                    ordered.take(page, order[k], (page, order[k]))
+        if lost:
+            await asyncio.sleep(3 * cell.LATE)
+        return told
+
+    with mock.patch.object(cell, "LATE", 0.01):
+        told = asyncio.run(passed_on())
+    for page in range(len(orders)):
+        assert [number for p, number in told if p == page] == [n for n in range(1, 9) if n not in lost]
+
+
+def test_a_message_that_comes_too_late_is_passed_on(monkeypatch):
+    monkeypatch.setattr(cell, "LATE", 0.01)
+
+    async def passed_on() -> list[int]:
+        told: list[int] = []
+        ordered = Ordered(asyncio.get_running_loop(), told.append)
+        for number in (1, 3, 4):
+            ordered.take(0.5, number, number)
+        await asyncio.sleep(0.05)
+        for number in (2, 6, 5):
+            ordered.take(0.5, number, number)
+        return told
+
+    assert asyncio.run(passed_on()) == [1, 3, 4, 2, 5, 6]
 
 
 def test_a_cell_goes_on_with_a_store_that_was_replaced(terrain, device, front_end, tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 - Jupyter may handle the page's messages in another thread (*subshells*, ipykernel 7), where ``rendercanvas`` would also
   draw; its scheduler waits in the loop of the thread that made it, and is never woken. So all messages go to that loop.
 - A cell has the keyboard as soon as it was clicked: no key that follows goes elsewhere.
+- Messages of a page are handled in the order in which it sent them. ipykernel 7 may let one overtake another.
 - A drag ends where the button was released. ``rendercanvas`` holds moves back for some milliseconds but not the
   release, which would otherwise overtake the last of them, or all of a quick drag's.
 - A frame that the page never confirms (its connection was cut) holds up the next ones no longer than ``LOST``.
@@ -28,8 +29,17 @@ FRAME = 4
 LOST = 3.0
 """Seconds after which an unconfirmed frame counts as lost, if the page sends events."""
 
+LATE = 0.25
+"""Seconds for which messages wait for one that they have overtaken."""
+
 SCRIPT = """
 {
+  const tell = RenderviewAnywidgetModel.prototype.onEvent
+  RenderviewAnywidgetModel.prototype.onEvent = function (event) {
+    this.page ??= Math.random()
+    this.told = (this.told ?? 0) + 1
+    tell.call(this, { ...event, page: this.page, number: this.told })
+  }
   const register = AnywidgetRenderView.prototype._registerEvents
   AnywidgetRenderView.prototype._registerEvents = function () {
     const signal = this._abortController.signal
@@ -69,6 +79,42 @@ SCRIPT = """
 """Appended to the widget's own script, whose classes it patches."""
 
 
+class Ordered:
+    """Messages of pages, passed on in the order in which each page numbered its own, from 1 on.
+
+    Args:
+        loop: the event loop of the only thread that calls ``take``.
+        pass_on: what handles a message.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, pass_on: Callable[[Any], None]) -> None:
+        self._loop, self._pass_on = loop, pass_on
+        self._due: dict[float, int] = {}
+        self._early: dict[float, dict[int, Any]] = {}
+
+    def take(self, page: float, number: int, message: Any) -> None:
+        """Pass on a message, and those that waited for it, or let it wait for those before it."""
+        early, due = self._early.setdefault(page, {}), self._due.setdefault(page, 1)
+        early[number] = message
+        self._go_on(page, min(number, due))
+        if number in early:
+            self._loop.call_later(LATE, self._give_up, page, number)
+
+    def _give_up(self, page: float, number: int) -> None:
+        """Wait no longer for the messages before this one: they were lost."""
+        early = self._early[page]
+        while number in early:
+            self._go_on(page, min(early))
+
+    def _go_on(self, page: float, number: int) -> None:
+        early = self._early[page]
+        while number in early:
+            message = early.pop(number)
+            number += 1
+            self._due[page] = max(self._due[page], number)
+            self._pass_on(message)
+
+
 def make_canvas(size: tuple[int, int], **options: Any) -> Any:
     """A canvas of ``size``, or narrower if the cell is.
 
@@ -88,6 +134,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
                 self._home: asyncio.AbstractEventLoop | None = asyncio.get_running_loop()
             except RuntimeError:
                 self._home = None
+            self._ordered = None if self._home is None else Ordered(self._home, self._handle)
             self.pasted: Callable[[str], None] = lambda text: None
             self._sent = math.inf
             self._closed = False
@@ -120,11 +167,18 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
                 self._frame_feedback = {"index": last, "timestamp": now, "localtime": now}
 
         def _rfb_handle_msg(self, widget: Any, content: dict[str, Any], buffers: Sequence[Any]) -> None:
-            self._at_home(self._go_on)
-            if content.get("type") == "orograph_paste":
-                self._at_home(self.pasted, str(content.get("text", "")))
+            page, number = content.pop("page", None), content.pop("number", 0)
+            if self._ordered is None or page is None:
+                self._at_home(self._handle, (widget, content, buffers))
             else:
-                self._at_home(super()._rfb_handle_msg, widget, content, buffers)
+                self._at_home(self._ordered.take, page, number, (widget, content, buffers))
+
+        def _handle(self, message: tuple[Any, dict[str, Any], Sequence[Any]]) -> None:
+            self._go_on()
+            if message[1].get("type") == "orograph_paste":
+                self.pasted(str(message[1].get("text", "")))
+            else:
+                super()._rfb_handle_msg(*message)
 
     canvas = Canvas(size=size, **options)
     if hasattr(canvas, "set_css_width"):
