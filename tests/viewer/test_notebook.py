@@ -30,20 +30,6 @@ def terrain(dem):
     return prepare([str(dem)])
 
 
-@pytest.fixture
-def front_end(monkeypatch):
-    """``rendercanvas.anywidget`` as it looks from here, drawing off screen."""
-    from rendercanvas.offscreen import OffscreenRenderCanvas
-
-    class Canvas(OffscreenRenderCanvas):
-        def _repr_mimebundle_(self, **options):
-            return {"application/vnd.jupyter.widget-view+json": {"model_id": "0"}}, {}
-
-    module = types.ModuleType("rendercanvas.anywidget")
-    module.RenderCanvas = Canvas
-    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
-
-
 def pixels(data: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)))
 
