@@ -8,6 +8,7 @@
   release, which would otherwise overtake the last of them, or all of a quick drag's.
 - A frame that the page never confirms (its connection was cut) holds up the next ones no longer than ``LOST``.
 - Keys that are held are released when the keyboard goes elsewhere, where the page does not hear of their release.
+- A widget that is shown in two pages is drawn as long as one of them has it in sight.
 - While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
   digit).
 - The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
@@ -72,6 +73,12 @@ SCRIPT = """
       this.anymodel.on('msg:custom', (message) => {
         if (message.type === 'orograph_copy') { navigator.clipboard?.writeText(message.text).catch(() => {}) }
       })
+      // Another page, where it is out of sight, says so of all; within the change it would not be told otherwise.
+      this.anymodel.on('change:_has_visible_views', () => setTimeout(() => {
+        if (!this.anymodel.get('_has_visible_views') && this.views.some(view => view.isVisible)) {
+          this.updateVisibility()
+        }
+      }))
     }
     add.call(this, view)
   }
