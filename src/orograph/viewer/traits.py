@@ -238,11 +238,13 @@ def _exaggeration(value: float) -> float:
 
 
 def _azimuth(value: float) -> float:
-    return Sun(azimuth=value) and value
+    Sun(azimuth=value)  # refuses it
+    return value
 
 
 def _altitude(value: float) -> float:
-    return Sun(altitude=value) and value
+    Sun(altitude=value)  # refuses it
+    return value
 
 
 def _light(value: str) -> str:
