@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import time
+import types
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -260,3 +261,17 @@ def hand(window: Any) -> Any:
     hand = Hand(window)
     hand.frames(3)
     return hand
+
+
+@pytest.fixture
+def front_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """``rendercanvas.anywidget`` as it looks from here, drawing off screen."""
+    from rendercanvas.offscreen import OffscreenRenderCanvas
+
+    class Canvas(OffscreenRenderCanvas):
+        def _repr_mimebundle_(self, **options: Any) -> Any:
+            return {"application/vnd.jupyter.widget-view+json": {"model_id": "0"}}, {}
+
+    module = types.ModuleType("rendercanvas.anywidget")
+    module.RenderCanvas = Canvas
+    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)

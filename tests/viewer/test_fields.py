@@ -40,6 +40,26 @@ def place_of(hand, monkeypatch, label: str) -> tuple[float, float]:
     return found[-1]
 
 
+def test_nothing_is_hovered_when_the_pointer_has_left(window, hand, monkeypatch):
+    """Neither lit nor explained; but a drag goes on outside."""
+    window.session.settings.sun.mode = "placed"
+    x, y = place_of(hand, monkeypatch, "azimuth")
+    hand.move(x, y)
+    hand.frames(3)
+    assert imgui.is_mouse_pos_valid()
+    hand.event("pointer_leave")
+    hand.frames(3)
+    assert not imgui.is_mouse_pos_valid()
+    hand.press(x, y)
+    hand.frames(2)
+    before = window.session.settings.sun.azimuth
+    hand.event("pointer_leave")
+    hand.frames(2)
+    assert window.session.settings.sun.azimuth == before
+    hand.release(x, y)
+    hand.frames(2)
+
+
 @pytest.mark.stress
 def test_ctrl_and_a_quick_click_type_into_a_slider(window, hand, monkeypatch):
     """Ctrl may be let go before a frame was drawn: it was down when the button was."""

@@ -30,20 +30,6 @@ def terrain(dem):
     return prepare([str(dem)])
 
 
-@pytest.fixture
-def front_end(monkeypatch):
-    """``rendercanvas.anywidget`` as it looks from here, drawing off screen."""
-    from rendercanvas.offscreen import OffscreenRenderCanvas
-
-    class Canvas(OffscreenRenderCanvas):
-        def _repr_mimebundle_(self, **options):
-            return {"application/vnd.jupyter.widget-view+json": {"model_id": "0"}}, {}
-
-    module = types.ModuleType("rendercanvas.anywidget")
-    module.RenderCanvas = Canvas
-    monkeypatch.setitem(sys.modules, "rendercanvas.anywidget", module)
-
-
 def pixels(data: bytes) -> np.ndarray:
     return np.asarray(Image.open(io.BytesIO(data)))
 
@@ -281,6 +267,23 @@ def test_messages_of_a_page_are_heard_in_the_thread_that_draws(monkeypatch):
 
     assert asyncio.run(live()) == "a view"
     assert heard == [(kind, threading.get_ident()) for kind in ("draw", "pointer_move", "key_down", "key_up")]
+
+
+def test_held_keys_are_released_when_the_keyboard_goes_elsewhere():
+    """Or the camera would fly on. A key pressed with Shift may be released without."""
+    pytest.importorskip("anywidget")
+
+    async def told() -> list[tuple[str, str]]:
+        canvas, events = make_canvas((40, 30)), []
+        canvas.add_event_handler(lambda event: events.append((event["event_type"], event["key"])), "key_down", "key_up")
+        for kind, key in (("key_down", "Shift"), ("key_down", "W"), ("key_down", "a"), ("key_up", "w"),
+                          ("focus_out", ""), ("focus_out", "")):  # fmt: skip
+            canvas._handle((canvas, {"type": kind, "key": key, "modifiers": [], "timestamp": 0.0}, []))
+        canvas._process_events()
+        canvas.close()
+        return events[4:]
+
+    assert asyncio.run(told()) == [("key_up", "Shift"), ("key_up", "a")]
 
 
 def test_frames_that_were_lost_hold_up_no_others(monkeypatch):

@@ -85,10 +85,12 @@ class Brush:
             ranges, area: the new ones; None: unchanged.
 
         Raises:
-            UsageError: a range is not two numbers, the lower first; an area has one or two corners.
+            UsageError: ranges have no names; one is not two numbers, the lower first; an area has one or two corners.
         """
         made = dict(self.ranges)
         if ranges is not None:
+            if not isinstance(ranges, Mapping):
+                raise UsageError(f"Ranges must be given by name, {{'Height': (500, 900)}}, not {ranges!r}.")
             made = {str(name): _range(name, given) for name, given in ranges.items()}
         corners = self.area
         if area is not None:

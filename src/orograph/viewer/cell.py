@@ -7,6 +7,8 @@
 - A drag ends where the button was released. ``rendercanvas`` holds moves back for some milliseconds but not the
   release, which would otherwise overtake the last of them, or all of a quick drag's.
 - A frame that the page never confirms (its connection was cut) holds up the next ones no longer than ``LOST``.
+- Keys that are held are released when the keyboard goes elsewhere, where the page does not hear of their release.
+- A widget that is shown in two pages is drawn as long as one of them has it in sight.
 - While the cell has the keyboard, the browser does not get the keys that it would use itself (Tab, F1, F12, Ctrl +
   digit).
 - The clipboard is the page's: copied text is sent there, and pasted text comes with the page's own event (a page cannot
@@ -71,6 +73,12 @@ SCRIPT = """
       this.anymodel.on('msg:custom', (message) => {
         if (message.type === 'orograph_copy') { navigator.clipboard?.writeText(message.text).catch(() => {}) }
       })
+      // Another page, where it is out of sight, says so of all; within the change it would not be told otherwise.
+      this.anymodel.on('change:_has_visible_views', () => setTimeout(() => {
+        if (!this.anymodel.get('_has_visible_views') && this.views.some(view => view.isVisible)) {
+          this.updateVisibility()
+        }
+      }))
     }
     add.call(this, view)
   }
@@ -136,6 +144,7 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
                 self._home = None
             self._ordered = None if self._home is None else Ordered(self._home, self._handle)
             self.pasted: Callable[[str], None] = lambda text: None
+            self._held: dict[str, str] = {}
             self._sent = math.inf
             self._closed = False
             super().__init__(**given)
@@ -175,10 +184,23 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
 
         def _handle(self, message: tuple[Any, dict[str, Any], Sequence[Any]]) -> None:
             self._go_on()
-            if message[1].get("type") == "orograph_paste":
+            kind, key = message[1].get("type"), str(message[1].get("key", ""))
+            if kind == "orograph_paste":
                 self.pasted(str(message[1].get("text", "")))
-            else:
-                super()._rfb_handle_msg(*message)
+                return
+            if kind == "key_down":
+                self._held[key.lower()] = key
+            elif kind == "key_up":
+                self._held.pop(key.lower(), None)
+            elif kind == "focus_out":
+                self._release()
+            super()._rfb_handle_msg(*message)
+
+        def _release(self) -> None:
+            """Release the keys that are held."""
+            held, self._held = self._held, {}
+            for key in held.values():
+                self.submit_event({"event_type": "key_up", "key": key, "modifiers": (), "time_stamp": 0.0})
 
     canvas = Canvas(size=size, **options)
     if hasattr(canvas, "set_css_width"):

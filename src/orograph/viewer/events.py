@@ -67,6 +67,7 @@ class Events:
 
     def _on_leave(self, event: dict[str, Any]) -> None:
         self.window.pointer = None
+        self.window.gui.left()
         self.window.session.probe.leave()
         self.window.touch()
 

@@ -97,6 +97,12 @@ class Gui:
         """Move the pointer to (x, y)."""
         self._do(partial(self._io().add_mouse_pos_event, x, y), False)
 
+    def left(self) -> None:
+        """Take the pointer away, unless it drags something."""
+        imgui.set_current_context(self.context)
+        if not imgui.is_any_mouse_down():
+            self.pointer(-imgui.FLT_MAX, -imgui.FLT_MAX)
+
     def button(self, button: int, down: bool) -> None:
         """Press or release a button (1 left, 2 right, 3 middle)."""
         if 1 <= button <= 5:

@@ -12,6 +12,8 @@ the next frame.
 from __future__ import annotations
 
 import base64
+import math
+import traceback
 from collections.abc import Callable, Sequence
 from typing import Any, get_args
 
@@ -22,6 +24,7 @@ from traitlets import Float as Number
 from orograph.errors import OrographError, UsageError
 from orograph.geovis.data.priority import Priority
 from orograph.geovis.layers import layers_of
+from orograph.lighting.sun import Sun
 from orograph.scene.parts import Light, check_exaggeration
 from orograph.viewer.results import KINDS
 from orograph.viewpoint import View
@@ -68,6 +71,9 @@ class Widget(HasTraits):
 
     def __init__(self, window: Any, canvas: Any, still: bytes) -> None:
         self.window, self.canvas, self._still = window, canvas, still
+        self._changes: list[Any] = []
+        self._told: Any = None
+        self._trouble = ""
         self._updating = True
         super().__init__()
         self._tell()
@@ -84,7 +90,7 @@ class Widget(HasTraits):
         self.canvas.close()
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
-        data = self.canvas._repr_mimebundle_(**options)
+        data = None if self.canvas.get_closed() else self.canvas._repr_mimebundle_(**options)
         rest: tuple[Any, ...] = ()
         if isinstance(data, tuple):
             data, *more = data
@@ -99,13 +105,30 @@ class Widget(HasTraits):
     # ---- from the window ---------------------------------------------------------------------------------------------
 
     def _update(self) -> None:
-        """Update the traits to what a frame was drawn with."""
-        self._updating = True
+        """Update the traits to what a frame was drawn with, then tell their observers, who may set traits themselves.
+
+        What goes wrong in an observer is printed, and frames go on.
+        """
+        self._changes, self._updating = [], True
         try:
-            with self.hold_trait_notifications():
-                self._tell()
+            self._tell()
         finally:
             self._updating = False
+        for change in self._changes:
+            self._told = change
+            try:
+                super().notify_change(change)
+            except Exception as error:
+                trouble, self._trouble = self._trouble, f"{type(error).__name__}: {error}"
+                if self._trouble != trouble:  # not in every frame of a flight
+                    traceback.print_exc()
+
+    def notify_change(self, change: Any) -> None:
+        """Tell observers of a change; while traits are updated, only when all are."""
+        if self._updating:
+            self._changes.append(change)
+        else:
+            super().notify_change(change)
 
     def _tell(self) -> None:
         session, tools = self.window.session, self.window.tools
@@ -136,7 +159,7 @@ class Widget(HasTraits):
         own = self.window.session.view
         return view.resized(own.width, own.height)
 
-    @validate("exaggeration", "light", "layers", "measure", "picked")
+    @validate("exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
     def _sensible(self, proposal: Any) -> Any:
         name, value = proposal["trait"].name, proposal["value"]
         try:
@@ -180,7 +203,7 @@ class Widget(HasTraits):
 
     @observe("camera", "exaggeration", "azimuth", "altitude", "light", "layers", "measure", "picked")
     def _set(self, change: Any) -> None:
-        if self._updating:
+        if change is self._told or self.canvas.get_closed():
             return
         name, value = change["name"], change["new"]
         session, tools = self.window.session, self.window.tools
@@ -192,7 +215,7 @@ class Widget(HasTraits):
             sun = session.settings.sun
             sun.mode, sun.azimuth, sun.altitude = "placed", self.azimuth % 360.0, self.altitude
         elif name == "layers":
-            session.settings.layers = list(value)
+            session.settings.layers = list(value or ())
         elif name == "light":
             session.settings.light = value
         elif name == "measure":
@@ -214,6 +237,16 @@ def _exaggeration(value: float) -> float:
     return value
 
 
+def _azimuth(value: float) -> float:
+    Sun(azimuth=value)  # refuses it
+    return value
+
+
+def _altitude(value: float) -> float:
+    Sun(altitude=value)  # refuses it
+    return value
+
+
 def _light(value: str) -> str:
     if value not in get_args(Light):
         raise UsageError(f"There is no light {value!r}; choose one of {', '.join(get_args(Light))}.")
@@ -231,12 +264,13 @@ def _points(value: Sequence[Any]) -> tuple[tuple[float, ...], ...]:
         points = tuple(tuple(float(v) for v in point) for point in value)
     except (TypeError, ValueError):
         points = ((),)
-    if any(len(point) != 3 for point in points):
-        raise UsageError("Each point must be (easting, northing, height).")
+    if any(len(point) != 3 or not all(map(math.isfinite, point)) for point in points):
+        raise UsageError("Each point must be (easting, northing, height), finite numbers.")
     return points
 
 
 CHECKS: dict[str, Callable[[Any], Any]] = {
-    "exaggeration": _exaggeration, "light": _light, "layers": layers_of, "measure": _kind, "picked": _points,
+    "exaggeration": _exaggeration, "azimuth": _azimuth, "altitude": _altitude, "light": _light, "layers": layers_of,
+    "measure": _kind, "picked": _points,
 }  # fmt: skip
 """Converts to a trait's value, or raises UsageError."""
