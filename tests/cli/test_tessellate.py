@@ -51,6 +51,30 @@ def test_conservative_sets_the_options_that_promise(run, hilly, tmp_path):
     assert code == 2 and "not promised" in err
 
 
+@pytest.mark.parametrize("method", ["quadtin", "hyperblock"])
+@pytest.mark.parametrize("verb", ["tessellate", "render", "movie", "compare"])
+def test_conservative_refuses_a_method_that_promises_nothing_where_samples_are_missing(
+    run, hilly, tmp_path, verb, method
+):
+    out = (
+        () if verb == "compare" else ("-o", tmp_path / {"tessellate": "m.npz", "movie": "%02d.png"}.get(verb, "m.png"))
+    )
+    code, _, err = run(verb, hilly, *out, "--conservative", "--method", method, "--quiet")
+    assert code == 2 and "not promised" in err and "samples are missing" in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_conservative_refuses_a_view_whose_bound_is_more_than_the_tolerance(run, hilly, tmp_path):
+    out = tmp_path / "m.npz"
+    whole = hilly, "--bbox", "-117,35.9,-116.992,36.2"  # the west, where nothing is missing
+    given = "tessellate", *whole, "-o", out, "--method", "quadtin", "--quiet"
+    assert run(*given, "--conservative")[0] == 0
+    out.unlink()
+    code, _, err = run(*given, "--tolerance", 0.01, "--conservative")
+    assert code == 2 and "a bound of" in err and "0.01" in err and not out.exists()
+    assert run(*given, "--tolerance", 0.01)[0] == 0
+
+
 @pytest.mark.parametrize("ending", ["ply", "obj", "glb"])
 def test_other_programs_read_it(run, hilly, tmp_path, ending):
     trimesh = pytest.importorskip("trimesh")

@@ -144,7 +144,7 @@ def command(
         tour = again()
     check_movie(output, size, crf)
     check_memory(size, max_memory if "max_memory" in said else None)
-    looks = {**given_of(options), "max_memory": max_memory, "jobs": jobs}
+    looks = {**given_of(options, terrain), "max_memory": max_memory, "jobs": jobs}
     film = Film.of(
         tour, terrain, size, looks, draw=session(progress, backend=options["backend"]), fps=options["fps"],
         first=options["begin"], last=options["end"], progress=progress, again=again, passage=passage,

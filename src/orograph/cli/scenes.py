@@ -195,8 +195,12 @@ def inputs_of(paths: Sequence[str], options: Mapping[str, Any]) -> dict[str, Seq
     }  # fmt: skip
 
 
-def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
-    """A scene's options as given on the command line; those not given are left out."""
+def given_of(options: Mapping[str, Any], terrain: Terrain | None = None) -> dict[str, Any]:
+    """A scene's options as given on the command line; those not given are left out.
+
+    Args:
+        terrain: where it is known: the one for which a method must keep its tolerance, if that is asked for.
+    """
     given = {}
     for name in SCENE:
         value = options.get(name)
@@ -211,7 +215,7 @@ def given_of(options: Mapping[str, Any]) -> dict[str, Any]:
     if options.get("conservative"):
         from orograph.scene.methods import conservative_method
 
-        given["method"] = conservative_method(options["method"], options.get("backend", "gpu"))
+        given["method"] = conservative_method(options["method"], options.get("backend", "gpu"), terrain)
     return given
 
 
@@ -238,4 +242,4 @@ def scene_of(terrain: Terrain, view: View, options: Mapping[str, Any], max_memor
     """The scene that the options describe, seen by a camera."""
     from orograph.scene.scene import Scene
 
-    return Scene.of(terrain, view, max_memory=max_memory, jobs=jobs, **given_of(options))
+    return Scene.of(terrain, view, max_memory=max_memory, jobs=jobs, **given_of(options, terrain))

@@ -115,7 +115,7 @@ def command(
         settle()  # building may take long, and keeps to a memory budget
     terrain = prepare(list(paths), max_memory=max_memory, jobs=jobs, progress=progress, errors=errors, **source)
     with progress.task("Looking at the terrain"):
-        session = Session(terrain, _view(terrain, options, size), size=size, paths=paths, **given_of(options))
+        session = Session(terrain, _view(terrain, options, size), size=size, paths=paths, **given_of(options, terrain))
     make = renderer_of(gpu_memory, max_memory, jobs)
     show(
         session, size=size, make=make, adapter=options["adapter"],

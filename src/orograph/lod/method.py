@@ -195,10 +195,15 @@ class Method(ABC):
         """What it needs from a store besides heights."""
         return ()
 
+    @classmethod
+    def promises(cls, options: Any, terrain: Terrain) -> bool:
+        """Whether the tolerance is promised for every point of this terrain's full-resolution surface in view."""
+        return cls.info.conservative(options)
+
     @property
     def conservative(self) -> bool:
-        """Whether the tolerance is promised for every point of the full-resolution surface in view."""
-        return self.info.conservative(self.options)
+        """Whether it ``promises`` the tolerance of its terrain."""
+        return self.promises(self.options, self.terrain)
 
     @abstractmethod
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> Selection:

@@ -33,6 +33,7 @@ from orograph.lod.selection import TriangleMesh
 from orograph.store.quadtin_grow import has_points
 from orograph.store.quadtin_layout import SPLITS, QuadTins
 from orograph.store.quadtin_make import make_quadtin
+from orograph.store.terrain import Terrain
 from orograph.tessellation import Tessellation, turn
 from orograph.viewpoint import Camera
 
@@ -162,6 +163,12 @@ class QuadTin(Method):
     def needs(cls, options: Any) -> tuple[Need, ...]:
         """The hierarchy."""
         return (Need("quadtin", {"finest": options.finest, "split": options.split}),)
+
+    @classmethod
+    def promises(cls, options: Any, terrain: Terrain) -> bool:
+        """As ``Method.promises``; where samples are missing only over points, since a raster's cells at the rim are cut
+        differently."""
+        return super().promises(options, terrain) and (has_points(terrain) or terrain.valid_fraction == 1)
 
     def _prepare(self) -> None:
         """Room for a refinement."""

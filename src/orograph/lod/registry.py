@@ -93,6 +93,16 @@ class Choice:
         supply(terrain, self.method.needs(self.options), resources)
         return self.method(terrain, self.options, resources)
 
+    def check_promise(self, terrain: Terrain) -> None:
+        """Raise UsageError if its tolerance is promised only for terrains without missing samples."""
+        if not self.method.promises(self.options, terrain):
+            raise UsageError(
+                f"With {self} the tolerance is not promised for this terrain, which `conservative` requires: "
+                "some of its samples are missing.",
+                path=terrain.name,
+                remedy="Choose another method, or read a part without missing samples (`bbox`).",
+            )
+
     def check_triangles(self) -> None:
         """Raise UsageError if the method makes no triangles."""
         if self.info.kind == "rays":

@@ -163,6 +163,8 @@ def render(
     if output is None or each is not None:
         check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
+    if conservative:
+        conservative_method(chosen["method"], backend, terrain)
     from orograph.rendering.furniture.furnish import insets
 
     layers = layers_of(chosen.get("layers"))

@@ -55,9 +55,14 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
     return choice
 
 
-def conservative_method(method: str, backend: Backend) -> str:
-    """A scene's method with the options that promise its tolerance (``registry.promised``)."""
-    return method if method == "auto" else str(promised(method, backend))
+def conservative_method(method: str, backend: Backend, terrain: Terrain | None = None) -> str:
+    """A scene's method with the options that promise its tolerance (``registry.promised``), of the terrain if given."""
+    if method == "auto":
+        return method
+    choice = promised(method, backend)
+    if terrain is not None:
+        choice.check_promise(terrain)
+    return str(choice)
 
 
 def goal_of(tolerance: float | None, triangles: int | None) -> Goal:

@@ -175,6 +175,8 @@ def compare(
     panels: list[Panel] = []
     for choice in choices:
         try:
+            if conservative:
+                choice.check_promise(ground)
             with heard.task(str(choice), total=len(seen)) as task, closing(means.method(choice)) as method:
                 found[str(choice)] = _measured(method, means, found, judges, task)
                 if str(choice) in drawn:

@@ -100,6 +100,8 @@ def movie(
     check_movie(path, size, crf)
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
+    if conservative:
+        conservative_method(options["method"], backend, ground)
     again = None
     if tour is None:
         sun = given.sun(options.get("sun"), ground)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from orograph._named import answering
 from orograph.compiling import expect
-from orograph.errors import NothingInViewError
+from orograph.errors import NothingInViewError, UsageError
 from orograph.folders import Amount, bytes_of
 from orograph.lod.method import Resources
 from orograph.lod.needs import kinds_of
@@ -135,6 +135,8 @@ def triangulate(
     ground = opened(
         terrain, progress, max_memory=max_memory, jobs=jobs, errors=errors, called="tessellate", **reading
     )  # fmt: skip
+    if conservative:
+        choice.check_promise(ground)
     seen = view(ground)
     selects = made(choice, ground, Resources((max_memory or MEMORY) // 2, jobs, progress), drape)
     with progress.task(f"Selecting ({choice})"):
@@ -145,6 +147,8 @@ def triangulate(
         raise NothingInViewError(
             "Nothing of the terrain is in view: there are no triangles.", path=ground.name, remedy=LEAVE_CAMERA
         )
+    if conservative and goal.tolerance is not None:
+        _check_kept(choice, selection.bound, goal.tolerance)
     if goal.triangles is not None and len(mesh.triangles) > goal.triangles:
         progress.warn(not_enough(goal.triangles, choice.info.name, len(mesh.triangles)))
     if output is not None:
@@ -157,3 +161,13 @@ def triangulate(
         with progress.task("The referee"):
             report = verify.judge_mesh(mesh, ground, seen, exaggeration=exaggeration, jobs=jobs)
     return Triangulated(mesh, choice, ground, seen, selection.stats, selection.bound, report)
+
+
+def _check_kept(choice: Choice, bound: float | None, tolerance: float) -> None:
+    """Raise UsageError if the bound of a view exceeds the tolerance: the finest triangles are too coarse for it."""
+    if bound is None or bound > tolerance:
+        least = "no bound" if bound is None else f"a bound of {bound:.3g} pixels"
+        raise UsageError(
+            f"With {choice} this view has {least}, but `conservative` requires a tolerance of {tolerance:g}.",
+            remedy=f"Give a larger tolerance, another method, or other options (orograph methods {choice.info.name}).",
+        )

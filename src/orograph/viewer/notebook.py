@@ -83,6 +83,8 @@ def view(
     if conservative:
         chosen["method"] = conservative_method(chosen.get("method", "auto"), "gpu")
     terrain = opened(terrain, progress, called="view", **reading)
+    if conservative:
+        conservative_method(chosen["method"], "gpu", terrain)
     session = Session(terrain, camera, size=size, **chosen)
     session.settings.panels = panels
     scene = session.scene()
