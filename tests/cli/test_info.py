@@ -17,6 +17,7 @@ from affine import Affine
 from click.testing import CliRunner
 from pyproj import CRS, Geod, Transformer
 
+import orograph
 from orograph.cli import cli
 from orograph.cli.memory import megabytes
 from orograph.cli.options import parse_bytes
@@ -176,6 +177,17 @@ def test_feet_crs_spacing_is_in_metres(tmp_path: Path) -> None:
     assert found["spacing_m"] == pytest.approx([12000 / 3937] * 2)
     assert any("Its CRS is in feet" in w for w in found["warnings"])
     assert not any("Its CRS is in feet" in w for w in info(path, "--vertical-unit", "us-ft")["warnings"])
+
+
+@pytest.mark.parametrize("function", [orograph.read, orograph.terrain])
+def test_undeclared_feet_are_warned_of_wherever_heights_are_read(tmp_path: Path, function: Any) -> None:
+    path = write(tmp_path / "a.tif", hills(), crs="EPSG:2225", transform=Affine(10, 0, 6e6, 0, -10, 2e6))
+    with pytest.warns(UserWarning, match="Its CRS is in feet"):
+        function(path)
+    for unit in ("us-ft", "m"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            function(path, vertical_unit=unit)
 
 
 def test_numbers_that_json_lacks_are_null(tmp_path: Path) -> None:

@@ -80,7 +80,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="How quantised heights are packed: portable is what every reader of Zarr understands; compact, 0.2 to 0.7 "
     "of the size, and smallest, smaller still and slower, are read by Orograph (and by zarr-python where it is "
-    "installed); progressive, the smallest of all, stores each level as its difference from the level above.",
+    "installed); progressive stores each level as its difference from the level above: the fewest bytes of heights.",
 )
 @click.option(
     "--max-error",

@@ -90,15 +90,8 @@ def _about_place(source: Source) -> list[str]:
             findings.append(f"Its longitudes run from {west:.6g}° to {east:.6g}°, across 180° E.")
         return findings
     factor = _unit(crs)
-    if abs(factor - 1) > 1e-9:
-        name = crs.axis_info[0].unit_name if crs.axis_info else "unit"
-        if source.unit_factor == 1 and not source.unit and 0.3 < factor < 0.31:
-            findings.append(
-                f"Its CRS is in feet ({name}), but the unit of its heights is not declared: assumed to be metres "
-                '(give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
-            )
-        else:
-            findings.append(f"Its CRS is in units of {factor:.9g} m ({name}).")
+    if abs(factor - 1) > 1e-9 and not _maybe_feet(source):
+        findings.append(f"Its CRS is in units of {factor:.9g} m ({_unit_name(crs)}).")
     if "Pseudo-Mercator" in crs.name or crs.to_epsg() == 3857:
         stretch = _mercator_stretch(grid)
         if stretch > 1.02:
@@ -133,6 +126,11 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
         findings.append(f"All its valid heights are {low:g} m.")
     if found.valid_fraction < 0.5:
         findings.append(f"{1 - found.valid_fraction:.0%} of its samples are missing.")
+    if _maybe_feet(source):
+        findings.append(
+            f"Its CRS is in feet ({_unit_name(source.grid.crs)}), but the unit of its heights is not declared: assumed "
+            'to be metres (give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
+        )
     if source.picture:
         return findings
     if not undeclared:
@@ -141,6 +139,19 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
     if source.dtype in ("uint8", "int8") and source.encoding is None and source.scale == 1 and source.bands < 3:
         findings.append("Its numbers have 8 bits: heights in steps of a metre at best, or shades of a picture.")
     return findings
+
+
+def _maybe_feet(source: Source) -> bool:
+    """Whether only coordinates are declared to be in feet, but heights may be, too."""
+    crs = source.grid.crs
+    if crs is None or crs.is_geographic:
+        return False
+    return 0.3 < _unit(crs) < 0.31 and source.unit_factor == 1 and not source.unit
+
+
+def _unit_name(crs: CRS | None) -> str:
+    """The name of the unit of a CRS's first axis."""
+    return str(crs.axis_info[0].unit_name) if crs is not None and crs.axis_info else "unit"
 
 
 def _about_units(source: Source, found: Statistics) -> list[str]:

@@ -70,7 +70,7 @@ class Source:
         block: (rows, cols) of the blocks the file is stored in; ``bands``: how many it has.
         driver: GDAL's name of the format.
         description: what the file calls the band, "" if it does not say.
-        unit: what the file calls the unit of its numbers, "" if it does not say.
+        unit: what the user or the file calls the unit of its numbers, "" if neither says.
         attribution: the credits that its makers ask for: the file's tag ATTRIBUTION.
         picture: whether its bands are colours or classes rather than heights.
         valid: further rules for which stored numbers are heights (netCDF); None: there are none.
@@ -189,7 +189,7 @@ class Source:
                 block=tuple(dataset.block_shapes[band - 1]),
                 driver=dataset.driver,
                 description=description_of(dataset, band),
-                unit=unit_tag(dataset, band),
+                unit=vertical_unit or unit_tag(dataset, band),
                 warnings=warnings,
                 valid=valid_of(dataset, band) if plain and nodata != "none" else None,
                 picture=plain and (is_picture(dataset) or is_palette(dataset, band)),

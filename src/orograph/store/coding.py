@@ -223,8 +223,8 @@ def coding_of(source: HeightSource, codec: str, max_error: str | float) -> Codin
         raise UsageError(f"`max_error` must be lossless, auto or a number of metres, not {max_error!r}.") from None
     if not FINEST / 2 <= error < _MOST:
         raise UsageError(
-            f"`max_error` is at least {FINEST / 2:.3g} m, not {error:g}.",
-            remedy="For less, store the heights exactly: `max_error='lossless'`.",
+            f"`max_error` is at least {FINEST / 2:.3g} m and less than {_MOST:g} m, not {error:g}.",
+            remedy="For less, store the heights exactly: `max_error='lossless'`." if error < FINEST / 2 else "",
         )
     if codec == "progressive":
         return Coding(codec, floored(2 * error / _FINER), error)
