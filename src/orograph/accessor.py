@@ -36,11 +36,11 @@ class OrographAccessor:
 
         return terrain(self._array, crs=crs, name=name)
 
-    def light(self, name: str, **options: Any) -> xr.DataArray:
-        """A light product of the array's ground by name; see ``orograph.lighting.make``."""
+    def light(self, products: str, **options: Any) -> xr.DataArray:
+        """Light products of the array's ground by name; see ``orograph.light``."""
         from orograph.lighting import make
 
-        made: xr.DataArray = make(self._array, name, **options)
+        made: xr.DataArray = make(self._array, products, **options)
         return made
 
     def render(self, view: Any = None, *, crs: str | CRS | None = None, name: str | None = None, **options: Any) -> Any:

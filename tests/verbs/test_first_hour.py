@@ -174,6 +174,8 @@ def test_areas_and_pictures_that_are_given_otherwise(dem, tmp_path):
         orograph.render(dem, "relief.png")
     with pytest.raises(UsageError, match="`interval` must be a number, or none, not '20'"):
         orograph.contours(dem, "20")
+    with pytest.raises(UsageError, match="Products are given first, or as `products`"):
+        orograph.light(dem, product="slope")
     mesh = orograph.tessellate(dem, tolerance=2, progress=False)
     assert mesh.save(tmp_path / "mesh.npz").exists() and len(mesh.positions()) == len(mesh.vertices)
     for kind in (orograph.Layer, orograph.Dataset):

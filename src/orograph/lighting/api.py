@@ -123,7 +123,7 @@ class Map:
 @answering
 def make(
     data: Any,
-    name: str | Sequence[str] = "",
+    products: str | Sequence[str] = "",
     *,
     cell: float | tuple[float, float] | ArrayLike | None = None,
     jobs: int | None = None,
@@ -139,8 +139,8 @@ def make(
     Args:
         data: heights: an array (rows, cols), metres, NaN where missing, or whatever else ``orograph.terrain`` takes: a
             path, a list of them, a Dem, a Terrain, a DataArray, an open rasterio dataset…
-        name: "slope", "sky-view-factor"…: ``products.names()``; it must be given. Several, in a sequence or a text
-            ("slope,aspect"), become bands of one result.
+        products: "slope", "sky-view-factor"…: ``lighting.products.names()``; one must be given. Several, in a sequence
+            or a text ("slope,aspect"), become bands of one result.
         cell: for arrays, which need it: metres between samples, along both axes or as (along rows, along columns), rows
             running south; or the (2, 2) linear part of a geotransform.
         jobs: threads; None: all processors. max_memory: bytes the process should stay within.
@@ -161,10 +161,10 @@ def make(
         ReadError: the data lack something that is needed. OutputError: the file cannot be written.
     """
     progress, max_memory = reporting(progress), bytes_of(max_memory)
-    names = words(name) or ("",)
-    wanted = [product(each) for each in names]
     reading = {k: options.pop(k) for k in READING if k in options}
     chosen = Options.of(**{k: v for k, v in options.items() if k != "sun"})
+    names = words(products) or ("",)
+    wanted = [product(each) for each in names]
     check_output(output, data, byte=byte, resume=resume)
     data = the_heights(data)
     is_xarray = "xarray" in sys.modules and isinstance(data, sys.modules["xarray"].DataArray)

@@ -103,7 +103,7 @@ Store = StoredTerrain | str | Path
 
 @overload
 def bake(
-    store: Store, names: Sequence[str] | str, options: Options | None = None, *, part: str | tuple[int, int],
+    store: Store, products: Sequence[str] | str = "", options: Options | None = None, *, part: str | tuple[int, int],
     **more: Any,
 ) -> None: ...  # fmt: skip
 
@@ -111,7 +111,7 @@ def bake(
 @overload
 def bake(
     store: Store,
-    names: Sequence[str] | str,
+    products: Sequence[str] | str = "",
     options: Options | None = None,
     *,
     bits: Bits | None = None,
@@ -130,15 +130,15 @@ def bake(
 
 @overload
 def bake(
-    store: Store, names: Sequence[str] | str, options: Options | None = None, *, part: str | tuple[int, int] | None,
-    **more: Any,
+    store: Store, products: Sequence[str] | str = "", options: Options | None = None, *,
+    part: str | tuple[int, int] | None, **more: Any,
 ) -> StoredTerrain | None: ...  # fmt: skip
 
 
 @answering
 def bake(
     store: Store,
-    names: Sequence[str] | str,
+    products: Sequence[str] | str = "",
     options: Options | None = None,
     *,
     bits: Bits | None = None,
@@ -160,7 +160,7 @@ def bake(
 
     Args:
         store: a folder, a URL (``s3://``, ``gs://``, ``az://``…), or an opened store of these.
-        names: of products, those in ``BAKED``: one, several, or a text ("openness,sky-view-factor").
+        products: those in ``BAKED``: one, several, or a text ("openness,sky-view-factor"); one must be given.
         options: of the products.
         bits: of a code: 8 or 16; None: what the product needs (16 for apertures, insolation and sunshine, else 8).
         overwrite: also bake existing layers again, and restart an interrupted bake.
@@ -185,9 +185,9 @@ def bake(
     progress, max_memory = reporting(progress), bytes_of(max_memory)
     if options is not None and more:
         raise UsageError("Give the products' options as Options, or by their names, not both.")
-    chosen, wanted = options or Options.of(**more), list(dict.fromkeys(words(names)))
-    products = [_bakeable(name) for name in wanted]
-    for each in products:
+    chosen = options or Options.of(**more)
+    asked = [_bakeable(name) for name in dict.fromkeys(words(products) or ("",))]
+    for each in asked:
         each.check(chosen)
     if bits is not None and bits not in get_args(Bits):
         raise UsageError(f"Layers must have 8 or 16 bits, not {bits}.")
@@ -206,14 +206,14 @@ def bake(
     folder, shared = None, None
     if share is not None or finish:
         with open(store, storage_options=storage_options) as terrain:
-            folder = bake_parts.check(storage, terrain, products, chosen)
+            folder = bake_parts.check(storage, terrain, asked, chosen)
     if share is not None:  # parts with the same layers and number may run at once
-        asked = [_record(p, chosen, bits, before).to_json() for p in products]
-        shared = hashlib.blake2b(json.dumps([asked, overwrite, share[1]]).encode(), digest_size=16).hexdigest()
+        records = [_record(p, chosen, bits, before).to_json() for p in asked]
+        shared = hashlib.blake2b(json.dumps([records, overwrite, share[1]]).encode(), digest_size=16).hexdigest()
     cache = min(64 << 20, max_memory // 16)
     with alone(storage, "baking into this store", shared):
         before = read_record(storage)
-        made = [_record(p, chosen, bits, before) for p in products]
+        made = [_record(p, chosen, bits, before) for p in asked]
         if not overwrite:
             there = [layer for layer in made if LAYERS.of(before).get(layer.name) == layer]
             for layer in there:

@@ -110,6 +110,8 @@ class Options:
                     remedy = "The sun's place is `sun=(azimuth, altitude)`, degrees: `sun=(315, 45)`."
                 elif name in ("output", "path", "filename", "out"):
                     remedy = "Save the result: `orograph.light(dem, 'slope').save('slope.tif')`, or give its `output`."
+                elif name in ("product", "name", "names"):
+                    remedy = "Products are given first, or as `products`."
                 else:
                     remedy = f"Did you mean {' or '.join(close)}?" if close else there
                 raise UsageError(f"There is no option {name!r}.", remedy=remedy)
