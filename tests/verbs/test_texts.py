@@ -54,7 +54,7 @@ def given(dem, tmp_path_factory):
     folder = tmp_path_factory.mktemp("texts")
     store = orograph.build(dem, folder / "hill.oro", progress=False).url
     return {
-        "terrain": dem, "a": dem, "b": dem, "source": dem, "data": dem, "store": store, "names": "slope",
+        "terrain": dem, "a": dem, "b": dem, "source": dem, "data": dem, "store": store,
         "name": "slope", "url": folder / "new.oro", "output": folder / "out.tif", "path": folder / "none.tif",
         "area": (0, 0, 1, 1), "target": [(500_700.0, 3_999_400.0)], "point": (500_700.0, 3_999_400.0), "level": 480.0,
         "error": HeightError(sigma=1), "eye": (-116.9, 36.1, 900.0), "look_at": None, "tolerance": 1,
@@ -102,7 +102,7 @@ def single() -> Iterator[tuple[str, str, str]]:
 
 @pytest.mark.parametrize(("name", "option", "what"), [*single()])
 def test_a_text_in_place_of_a_number_is_refused_by_the_options_name(given, name, option, what):
-    more = {"light": {"name": "slope"}, "movie": {"output": "film.mp4"}, "tin": {"max_error": 5},
+    more = {"light": {"products": "slope"}, "movie": {"output": "film.mp4"}, "tin": {"max_error": 5},
             "manifest": {"path": "a.manifest.geojsonl"}}.get(name, {})  # fmt: skip
     with pytest.raises(UsageError, match=rf"`{option}` must be {what}.*, not '500'"):
         called(functions()[name], given, **{**more, option: "500"})
@@ -138,7 +138,7 @@ def test_numbers_may_be_numpys(dem):
 def test_memory_as_text_does_the_same(given, name):
     more = {
         "tin": {"max_error": 5},
-        "light": {"name": "slope"},
+        "light": {"products": "slope"},
         "export": {"overwrite": True},
         "build": {"overwrite": True},
     }.get(name, {})
