@@ -208,29 +208,6 @@ def test_a_person_explores_a_cell(page):
     page.wait_for_function(f"!document.querySelector('{VIEW}')", timeout=SOON)
 
 
-def test_a_cell_in_two_pages(page):
-    """It is drawn as long as one of them has it in sight."""
-    run(page, 0)
-    page.wait_for_selector(f"{VIEW}[src^=blob]", timeout=SOON)
-    page.keyboard.press("Control+s")
-    page.wait_for_timeout(2000)
-    other = page.context.new_page()
-    other.goto(page.url.replace("/lab/tree/", "/lab/workspaces/other/tree/"))
-    other.wait_for_selector(f"{VIEW}[src^=blob]", timeout=SOON)
-    other.evaluate(f"document.querySelector('{VIEW}').style.display = 'none'")
-    other.wait_for_timeout(1000)
-    box = page.locator(VIEW).bounding_box()
-    page.mouse.click(box["x"] + 300, box["y"] + 300)
-    page.wait_for_timeout(500)
-    before = seen(page).astype(int)
-    page.mouse.wheel(0, -300)
-    for _ in range(50):
-        page.wait_for_timeout(200)
-        if np.abs(seen(page) - before).mean() > 3:
-            return
-    raise AssertionError("it is not drawn")
-
-
 def test_a_cell_of_marimo(dem: Path, device, tmp_path: Path) -> None:
     """It shows the terrain, and a drag moves the camera."""
     pytest.importorskip("marimo")
