@@ -60,7 +60,7 @@ def test_conservative_refuses_a_method_that_promises_nothing_where_samples_are_m
         () if verb == "compare" else ("-o", tmp_path / {"tessellate": "m.npz", "movie": "%02d.png"}.get(verb, "m.png"))
     )
     code, _, err = run(verb, hilly, *out, "--conservative", "--method", method, "--quiet")
-    assert code == 2 and "not promised" in err and "samples are missing" in err
+    assert code == 2 and "cannot be promised" in err and "samples are missing" in err
     assert not list(tmp_path.iterdir())
 
 

@@ -199,7 +199,7 @@ def given_of(options: Mapping[str, Any], terrain: Terrain | None = None) -> dict
     """A scene's options as given on the command line; those not given are left out.
 
     Args:
-        terrain: where it is known: the one for which a method must keep its tolerance, if that is asked for.
+        terrain: what is drawn; None: with ``conservative``, what its method can promise for it is not checked.
     """
     given = {}
     for name in SCENE:
@@ -213,9 +213,12 @@ def given_of(options: Mapping[str, Any], terrain: Terrain | None = None) -> dict
         if value is not None and value != ():
             given[name] = value
     if options.get("conservative"):
-        from orograph.scene.methods import conservative_method
+        from orograph.scene.methods import check_promise, conservative_method
 
-        given["method"] = conservative_method(options["method"], options.get("backend", "gpu"), terrain)
+        backend = options.get("backend", "gpu")
+        given["method"] = conservative_method(options["method"], backend)
+        if terrain is not None:
+            check_promise(given["method"], backend, terrain)
     return given
 
 

@@ -90,7 +90,7 @@ def _about_place(source: Source) -> list[str]:
             findings.append(f"Its longitudes run from {west:.6g}° to {east:.6g}°, across 180° E.")
         return findings
     factor = _unit(crs)
-    if abs(factor - 1) > 1e-9 and not _maybe_feet(source):
+    if abs(factor - 1) > 1e-9 and not _undeclared_feet(source):
         findings.append(f"Its CRS is in units of {factor:.9g} m ({_unit_name(crs)}).")
     if "Pseudo-Mercator" in crs.name or crs.to_epsg() == 3857:
         stretch = _mercator_stretch(grid)
@@ -126,7 +126,7 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
         findings.append(f"All its valid heights are {low:g} m.")
     if found.valid_fraction < 0.5:
         findings.append(f"{1 - found.valid_fraction:.0%} of its samples are missing.")
-    if _maybe_feet(source):
+    if _undeclared_feet(source):
         findings.append(
             f"Its CRS is in feet ({_unit_name(source.grid.crs)}), but the unit of its heights is not declared: assumed "
             'to be metres (give `vertical_unit="ft"` or `vertical_unit="us-ft"` if they are feet).'
@@ -141,8 +141,8 @@ def _about_heights(source: Source, found: Statistics, windows: int = WINDOWS) ->
     return findings
 
 
-def _maybe_feet(source: Source) -> bool:
-    """Whether only coordinates are declared to be in feet, but heights may be, too."""
+def _undeclared_feet(source: Source) -> bool:
+    """Whether the coordinates are in feet and the unit of the heights is not declared."""
     crs = source.grid.crs
     if crs is None or crs.is_geographic:
         return False

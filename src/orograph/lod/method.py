@@ -196,14 +196,14 @@ class Method(ABC):
         return ()
 
     @classmethod
-    def promises(cls, options: Any, terrain: Terrain) -> bool:
-        """Whether the tolerance is promised for every point of this terrain's full-resolution surface in view."""
-        return cls.info.conservative(options)
+    def obstacle(cls, options: Any, terrain: Terrain) -> str:
+        """What about a terrain keeps the method from the promise that its options make; "": nothing."""
+        return ""
 
     @property
     def conservative(self) -> bool:
-        """Whether it ``promises`` the tolerance of its terrain."""
-        return self.promises(self.options, self.terrain)
+        """Whether the tolerance is promised for every point of the full-resolution surface in view."""
+        return self.info.conservative(self.options) and not self.obstacle(self.options, self.terrain)
 
     @abstractmethod
     def select(self, camera: Camera, goal: Goal, ready: Ready = EVERYTHING) -> Selection:

@@ -165,10 +165,10 @@ class QuadTin(Method):
         return (Need("quadtin", {"finest": options.finest, "split": options.split}),)
 
     @classmethod
-    def promises(cls, options: Any, terrain: Terrain) -> bool:
-        """As ``Method.promises``; where samples are missing only over points, since a raster's cells at the rim are cut
-        differently."""
-        return super().promises(options, terrain) and (has_points(terrain) or terrain.valid_fraction == 1)
+    def obstacle(cls, options: Any, terrain: Terrain) -> str:
+        """A raster's cells beside missing samples are cut differently; points have no cells."""
+        whole = has_points(terrain) or terrain.valid_fraction == 1
+        return "" if whole else "some of its samples are missing"
 
     def _prepare(self) -> None:
         """Room for a refinement."""

@@ -94,13 +94,14 @@ class Choice:
         return self.method(terrain, self.options, resources)
 
     def check_promise(self, terrain: Terrain) -> None:
-        """Raise UsageError if its tolerance is promised only for terrains without missing samples."""
-        if not self.method.promises(self.options, terrain):
+        """Raise UsageError if something about a terrain keeps the method from its promise."""
+        obstacle = self.method.obstacle(self.options, terrain)
+        if obstacle:
             raise UsageError(
-                f"With {self} the tolerance is not promised for this terrain, which `conservative` requires: "
-                "some of its samples are missing.",
+                f"With {self} the tolerance, which `conservative` promises, cannot be promised for this terrain: "
+                f"{obstacle}.",
                 path=terrain.name,
-                remedy="Choose another method, or read a part without missing samples (`bbox`).",
+                remedy="Choose another method, or read another part (`bbox`).",
             )
 
     def check_triangles(self) -> None:

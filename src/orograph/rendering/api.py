@@ -26,7 +26,7 @@ from orograph.rendering.picture import Picture, picture_format
 from orograph.rendering.ways import Way
 from orograph.reporting import reporting
 from orograph.scene.camera import NO_INSETS, plan, view_of, whole
-from orograph.scene.methods import conservative_method
+from orograph.scene.methods import check_promise, conservative_method
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, dpi_of, size_of
@@ -164,7 +164,7 @@ def render(
         check_memory((view.width, view.height) if isinstance(view, View) else size, max_memory)
     terrain = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="render", **reading)
     if conservative:
-        conservative_method(chosen["method"], backend, terrain)
+        check_promise(chosen["method"], backend, terrain)
     from orograph.rendering.furniture.furnish import insets
 
     layers = layers_of(chosen.get("layers"))

@@ -55,14 +55,15 @@ def mesh_choice(method: str, backend: Backend, triangles: int | None = None) -> 
     return choice
 
 
-def conservative_method(method: str, backend: Backend, terrain: Terrain | None = None) -> str:
-    """A scene's method with the options that promise its tolerance (``registry.promised``), of the terrain if given."""
-    if method == "auto":
-        return method
-    choice = promised(method, backend)
-    if terrain is not None:
-        choice.check_promise(terrain)
-    return str(choice)
+def conservative_method(method: str, backend: Backend) -> str:
+    """A scene's method with the options that promise its tolerance (``registry.promised``)."""
+    return method if method == "auto" else str(promised(method, backend))
+
+
+def check_promise(method: str, backend: Backend, terrain: Terrain) -> None:
+    """Raise UsageError if a ``conservative_method`` cannot promise its tolerance for a terrain."""
+    if method != "auto":
+        promised(method, backend).check_promise(terrain)
 
 
 def goal_of(tolerance: float | None, triangles: int | None) -> Goal:

@@ -18,7 +18,7 @@ from orograph.rendering.backends import check_sort_last, session
 from orograph.rendering.memory import check_memory
 from orograph.reporting import reporting
 from orograph.scene import given
-from orograph.scene.methods import conservative_method
+from orograph.scene.methods import check_promise, conservative_method
 from orograph.scene.parts import OPTIONS, check_options
 from orograph.scene.sizes import Size, size_of
 from orograph.store.given import READING
@@ -101,7 +101,7 @@ def movie(
     max_memory, jobs = OPTIONS["max_memory"].worded(options.get("max_memory")), options.get("jobs")
     ground = opened(terrain, heard, max_memory=max_memory, jobs=jobs, called="movie", **reading)
     if conservative:
-        conservative_method(options["method"], backend, ground)
+        check_promise(options["method"], backend, ground)
     again = None
     if tour is None:
         sun = given.sun(options.get("sun"), ground)

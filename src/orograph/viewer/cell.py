@@ -73,7 +73,7 @@ SCRIPT = """
       this.anymodel.on('msg:custom', (message) => {
         if (message.type === 'orograph_copy') { navigator.clipboard?.writeText(message.text).catch(() => {}) }
       })
-      // Another page, where it is out of sight, says so of all; within the change it would not be told otherwise.
+      // A page that hides the widget says that none shows it. Say otherwise, once this change is through.
       this.anymodel.on('change:_has_visible_views', () => setTimeout(() => {
         if (!this.anymodel.get('_has_visible_views') && this.views.some(view => view.isVisible)) {
           this.updateVisibility()
@@ -184,9 +184,10 @@ def make_canvas(size: tuple[int, int], **options: Any) -> Any:
 
         def _handle(self, message: tuple[Any, dict[str, Any], Sequence[Any]]) -> None:
             self._go_on()
-            kind, key = message[1].get("type"), str(message[1].get("key", ""))
+            content = message[1]
+            kind, key = content.get("type"), str(content.get("key", ""))
             if kind == "orograph_paste":
-                self.pasted(str(message[1].get("text", "")))
+                self.pasted(str(content.get("text", "")))
                 return
             if kind == "key_down":
                 self._held[key.lower()] = key

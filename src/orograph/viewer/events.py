@@ -97,7 +97,7 @@ class Events:
     def _key(self, event: dict[str, Any]) -> None:
         key, modifiers = event["key"], event["modifiers"]
         nav, down, typing = self.window.session.nav, event["event_type"] == "key_down", self.window.gui.typing
-        if key == "Tab" and (typing or not down):  # else ImGui gives the keyboard to a field of the panels it shows
+        if key == "Tab" and (typing or not down):  # elsewhere it would go to a field of the panels that Tab shows
             self.window.gui.key(key, down)
         if not down:
             nav.key_up(key, modifiers)

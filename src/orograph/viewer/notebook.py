@@ -16,7 +16,7 @@ from orograph.errors import OrographError
 from orograph.folders import Amount, bytes_of
 from orograph.progress import SILENT, Progress
 from orograph.rendering.picture import Picture
-from orograph.scene.methods import conservative_method
+from orograph.scene.methods import check_promise, conservative_method
 from orograph.scene.scene import Scene
 from orograph.scene.sizes import Size, size_of
 from orograph.scene.typed import SceneOptions
@@ -84,7 +84,7 @@ def view(
         chosen["method"] = conservative_method(chosen.get("method", "auto"), "gpu")
     terrain = opened(terrain, progress, called="view", **reading)
     if conservative:
-        conservative_method(chosen["method"], "gpu", terrain)
+        check_promise(chosen["method"], "gpu", terrain)
     session = Session(terrain, camera, size=size, **chosen)
     session.settings.panels = panels
     scene = session.scene()
